@@ -225,11 +225,11 @@ class _Trial:
 
     def unique(
         self, change: Callable[[LaserScan], LaserScan] | None = None, prior: Prior | None = None,
-        shared: Shared | None = None,
+        shared: Shared | None = None, *, most: bool = False,
     ) -> list[Localization]:  # fmt: skip
         """Answers to a few scans that are changed, or with others of the options.
 
-        The list is empty unless all of these scans are unique.
+        The list is empty unless all of these scans, or `most` of them, are unique.
         """
         # Votes find a few places more where nothing fits, which takes longer than all the rest.
         quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
@@ -239,9 +239,9 @@ class _Trial:
         for k in self.tried:
             scan = self.scans[k] if change is None else change(self.scans[k])
             found.append(localize(self.features, scan, quick))
-            if found[-1].verdict != "unique":
+            if found[-1].verdict != "unique" and not most:
                 return []
-        return found
+        return found if 2 * sum(a.verdict == "unique" for a in found) > len(found) else []
 
     def calibration(self, *, is_bent: bool) -> Doubt | None:
         """The scans fit far better without what was calibrated for the map.
@@ -305,7 +305,7 @@ class _Trial:
 
     def mirrored(self) -> Doubt | None:
         """The scans fit if left and right are swapped."""
-        if not self.unique(lambda scan: scan.flipped):
+        if not self.unique(lambda scan: scan.flipped, most=True):
             return None
         why = "is the sensor upside down, or the map's image mirrored?"
         what = f"{self.fits} at one place if mirrored: {why}"

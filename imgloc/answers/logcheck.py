@@ -325,9 +325,10 @@ def _about_readings(scans: ScanSet, findings: list[Finding]) -> dict[str, Any]:
         _add(findings, "codes", text, f"`range_max={low:g}`")
     few = np.median([scan.directions for scan in some]) < Trust().readings
     if few or total["valid"] < _FEW * count:
-        _add(
-            findings, "few", f"few readings can be used: {few_readings(some)}; is range_max right?"
-        )
+        why = "is range_max right?"
+        if float(np.mean(raw == 0)) > _CLOSE:
+            why = "most are 0, which drivers write where the sensor sees nothing"
+        _add(findings, "few", f"few readings can be used: {few_readings(some)}; {why}")
     elif total["too_close"] > _CLOSE * count:
         zeros = float(np.mean(raw == 0))
         what = (

@@ -198,8 +198,8 @@ def _warnings(
         colours = image.pixels[:, :, :3]
         tinted = int(np.count_nonzero(colours.max(axis=2) != colours.min(axis=2)))
     # Where much grey 205 is read as free, that is why nothing is unknown.
-    swapped, few = looks_swapped(grid), 200 * trap < sums.size
-    known = n["free"] and n["occupied"] and few and not swapped and lacks_unknown(grid)
+    swapped = looks_swapped(grid)
+    known = n["free"] and n["occupied"] and not (trap or swapped) and lacks_unknown(grid)
     drawn = known and looks_drawn(grid)
     found = {
         "frame": (frame := other_frame(used)),

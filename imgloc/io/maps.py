@@ -16,6 +16,7 @@ import contextlib
 import logging
 import math
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
@@ -52,6 +53,19 @@ _NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
 _BESIDE = 64  # YAMLs in the folder of an image that are looked at
+
+_OTHERS = {
+    ".pbstream": "a state of Cartographer; cartographer_pbstream_to_ros_map makes a map of it",
+    ".posegraph": "a pose graph of slam_toolbox; its service save_map, or map_saver_cli, saves the "
+    "map",
+    ".db": "a database, as of RTAB-Map; map_saver_cli saves the map while RTAB-Map runs",
+    ".bt": "an octree; octomap_server publishes a map of it, and map_saver_cli saves that",
+    ".dwg": "a drawing; save it as DXF, and imgloc map plan makes a map of it",
+    **dict.fromkeys(
+        (".pdf", ".svg", ".dxf"), "a drawing; imgloc map plan FILE --out map.yaml makes a map of it"
+    ),
+}
+"""What files are that people take for maps, and what makes maps of them."""
 
 # Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
 # or free; per byte of the file, whose samples may be written as text; and for tables of greys.
@@ -116,7 +130,7 @@ def load_map(
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     grid = grid_of(image, settings)
-    if _MUCH * (trap := unknown_as_free(image, settings, grid)) > grid.free.size:
+    if trap := unknown_as_free(image, settings, grid):
         said = GREY_205.format(trap=trap, free_thresh=settings.free_thresh)
         _LOG.warning("%s: %s", display(path), said)
     return grid
@@ -208,11 +222,11 @@ GREY_205 = (
     "{trap:,} cells of grey 205, map_saver's unknown, count as free because free_thresh is "
     "{free_thresh:g}; 0.196 keeps them unknown"
 )
-_MUCH = 200  # one cell in so many
+_MUCH, _PEAK = 200, 10  # one cell in so many; so many times as often as the greys beside it
 
 
 def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid) -> int:
-    """How many cells of the grey that map_saver writes for unknown are read as free.
+    """How many cells of the grey that map_saver writes for unknown are read as free, if many are.
 
     Grey 205 is an occupancy of 0.196, just above map_saver's own free_thresh.
     """
@@ -221,8 +235,11 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
     upright = image.pixels[::-1]  # row 0 at the bottom as in the grid; alpha aside
     sums, channels = channel_sum(upright[:, :, :3] if image.channels > 1 else upright)
     full = image.white * channels
-    is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
-    return int(np.count_nonzero(is_205[sums] & grid.free))
+    greys = np.round(np.arange(full + 1) * (255 / full))
+    found, *beside = (np.count_nonzero((greys == grey)[sums]) for grey in (205, 204, 206))
+    if _MUCH * found <= sums.size or found <= _PEAK * max(beside):
+        return 0  # a few cells, or one grey among many of a map of probabilities
+    return int(np.count_nonzero((greys == 205)[sums] & grid.free))
 
 
 SWAPPED = (
@@ -373,6 +390,8 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
     said = load_map_yaml(path, given) if file.suffix.lower() in YAML_ENDINGS else None
     if said is None:
         os.close(open_regular(path, MapError, "map YAML or image"))
+        if hint := _OTHERS.get(file.suffix.lower()):
+            raise MapError(f"{name}: is no map: {hint}")
         if "resolution" not in given:
             hint = ", expected metres per cell; pass `resolution`, or the map's YAML"
             for beside in yamls_of(file):
@@ -383,7 +402,11 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         try:
             os.close(open_regular(said.image, MapError, "map image"))
         except MapError as e:
-            raise MapError(f"{e}; {name} names it as its image") from None
+            there = re.split(r"[/\\]", str(said.image))[-1]
+            hint = ""
+            if is_file(file.parent / there):
+                hint = f"; {display(there)} lies beside the YAML: write 'image: {display(there)}'"
+            raise MapError(f"{e}; {name} names it as its image{hint}") from None
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     return _settings(written, given, name, bare=said is None)
 

@@ -13,6 +13,7 @@ An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB
 import contextlib
 import io
 import math
+import os
 import re
 import tokenize
 import zipfile
@@ -35,6 +36,7 @@ from imgloc.io.files import (
     is_folder,
     is_there,
     open_file,
+    open_regular,
     read_file,
     reason,
     write_bytes_atomic,
@@ -257,6 +259,11 @@ def _kind_of(path: PathLike) -> _Kind:
         )
     if ending in _KINDS:
         kind = _KINDS[ending]
+        if ending == ".bag" and is_there(file) and not lower.endswith(".gz"):
+            with os.fdopen(open_regular(path, ScanError, "bag"), "rb") as opened:
+                if re.match(rb"#ROSBAG V1|#ROSRECORD", opened.read(_HEAD)):
+                    hint = "rosbag fix old.bag new.bag of ROS 1 makes one of version 2.0"
+                    raise ScanError(f"{name}: is a bag of a version before 2.0; {hint}")
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
         return kind
