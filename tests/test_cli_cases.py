@@ -1,5 +1,6 @@
 """Files of strangers through the real command: the true cause is named, and no false one."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -95,3 +96,27 @@ def test_the_cases_give_what_their_kind_should(shared: Path) -> None:
         assert text in run.out
         assert "nan %" not in run.out
         assert "    grey-205" not in run.out
+
+
+INVALID = {
+    "Each scan has 5 rays; it takes valid readings in 10 directions or more": {"ranges": [2.0] * 5},
+    "All rays point in 1 direction(s): is angle_increment right?": {"angle_increment": 0},
+    "Most readings are 0, which drivers write where": {"ranges": [0.0] * 90 + [2.0] * 9},
+    "Most readings are NaN": {"ranges": [None] * 90 + [2.0] * 9},
+    "Most readings are nearer than range_min, 3 m": {"range_min": 3.0},
+    "Most rays met nothing within range_max, 1 m": {"range_max": 1.0},
+    "It takes valid readings in 10 directions or more; a scan has 8": {
+        "ranges": [2.0] * 8 + [None] * 40 + [0.0] * 40
+    },
+}
+
+
+@pytest.mark.parametrize("cause", INVALID)
+def test_each_cause_of_invalid_has_a_sentence(cause: str, tmp_path: Path) -> None:
+    scan = {"angle_min": -1.5, "angle_increment": 0.03, "range_min": 0.1, "range_max": 30.0}
+    entry = {**scan, "ranges": [2.0 + 0.01 * k for k in range(99)], **INVALID[cause]}
+    (tmp_path / "a.jsonl").write_text(json.dumps(entry))
+    run = call("localize", "visibility", tmp_path / "a.jsonl")
+    assert "scan 0: invalid" in run.out
+    assert f"this scan has too few readings to be placed: of {len(entry['ranges'])}" in run.err
+    assert cause in run.err

@@ -29,7 +29,7 @@ from imgloc.model import (
     inverse,
 )
 from imgloc.numbers import number
-from imgloc.options import Drawn, Options, Prior, Shared
+from imgloc.options import Drawn, Options, Prior, Shared, Trust
 from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
@@ -41,6 +41,7 @@ _TRIED = number("diagnose.tried")  # doubtful scans that are looked at in anothe
 # resolution.
 _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, degrees
 _LONG = number("diagnose.long")
+_MOST = 0.5  # of the readings
 UNITS = {"millimetres": 0.001, "centimetres": 0.01}  #: metres
 _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
 
@@ -168,13 +169,12 @@ def doubts(
     if found := trial.units():
         return [found]
     if 2 * counts["invalid"] > len(scans):
-        few = few_readings(trial.scans.scans)
-        few += "" if few.endswith("?") else "."
-        text = (
-            f"most scans have too few readings to be placed: {few} "
-            "Look at range_min and range_max of the file, and pass `range_max`"
-        )
-        return [Doubt("few", text, "too few readings: look at `range_max`")]
+        few, why = few_readings(trial.scans.scans), why_invalid(trial.scans.scans)
+        if few.endswith("?"):
+            why = "Look at range_min and range_max of the file"
+        which = "this scan has" if trial.one else "most scans have"
+        text = f"{which} too few readings to be placed: {few}{'' if few[-1] == '?' else '.'} {why}"
+        return [Doubt("few", text, f"too few readings: {why}")]
     if looks_swapped(features.grid):
         return [Doubt("swapped", SWAPPED, "black and white of the map look swapped: `negate=True`")]
     found = trial.prior() or trial.mirrored() or trial.scale()
@@ -495,6 +495,38 @@ def unit_of(middle: float) -> str:
     if middle <= _LONG[1]:
         return ""
     return "millimetres" if middle > _LONG[0] else "centimetres"
+
+
+def why_invalid(scans: Sequence[LaserScan]) -> str:
+    """Why scans have too few directions with a valid reading: a sentence for each cause.
+
+    Examples
+    --------
+    >>> why_invalid([LaserScan(np.ones(5), np.arange(5.0), range_max=9.0)])
+    'Each scan has 5 rays; it takes valid readings in 10 directions or more'
+    >>> why_invalid([LaserScan(np.ones(50), np.zeros(50), range_max=9.0)])
+    'All rays point in 1 direction(s): is angle_increment right?'
+    """
+    least = Trust().readings
+    rays, valid, directions = (
+        int(np.median([count(scan) for scan in scans]))
+        for count in (lambda s: len(s.ranges), lambda s: s.counts["valid"], lambda s: s.directions)
+    )
+    if rays < least:
+        return f"Each scan has {rays} rays; it takes valid readings in {least} directions or more"
+    if valid >= least:
+        return f"All rays point in {directions} direction(s): is angle_increment right?"
+    ranges = np.concatenate([scan.ranges for scan in scans])
+    low, high = np.median([(scan.range_min, scan.range_max) for scan in scans], axis=0)
+    causes = {
+        "Most readings are 0, which drivers write where the sensor sees nothing": ranges == 0,
+        "Most readings are NaN: the driver calls them invalid": np.isnan(ranges),
+        f"Most readings are nearer than range_min, {low:g} m: is it right?": ranges <= low,
+        f"Most rays met nothing within range_max, {high:g} m: is it right, and is the sensor free "
+        "to see?": ranges >= high,
+    }
+    few = f"It takes valid readings in {least} directions or more; a scan has {valid}"
+    return next((text for text, which in causes.items() if which.mean() > _MOST), few)
 
 
 def few_readings(scans: Sequence[LaserScan]) -> str:

@@ -105,7 +105,7 @@ def unwrapped(entry: Any) -> tuple[Any, str | None]:
     >>> unwrapped({"op": "publish", "topic": "/scan", "msg": {"ranges": [1.0], "angleMin": 0.5}})
     ({'ranges': [1.0], 'angle_min': 0.5}, '/scan')
     >>> unwrapped({"readings": [1.0, None], "theta": [0.0, 0.1], "timestamp": [5, 500000]})[0]
-    {'timestamp': [5, 500000], 'ranges': [1.0, None], 'angles': [0.0, 0.1], 'stamp': 5.5}
+    {'ranges': [1.0, None], 'angles': [0.0, 0.1], 'timestamp': [5, 500000], 'stamp': 5.5}
     """
     if not isinstance(entry, dict):
         return entry, None
