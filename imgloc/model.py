@@ -68,12 +68,30 @@ class Pose2D:
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", float(self.x))
         object.__setattr__(self, "y", float(self.y))
+        if abs(self.theta) > MOST_TURNED:
+            raise ConfigError(f"theta: got {self.theta:g}, {_DEGREES}")
         theta = math.remainder(self.theta, math.tau)
         object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
 
     def __iter__(self) -> Iterator[float]:
         """Yield x, y and theta."""
         return iter((self.x, self.y, self.theta))
+
+
+def wrapped_pose(x: float, y: float, theta: float) -> Pose2D:
+    """Return the pose of a robot whose heading, radians, may have been counted on over many turns.
+
+    Examples
+    --------
+    >>> wrapped_pose(1.0, 2.0, 10 * math.pi + 0.5).theta.__round__(6)
+    0.5
+    """
+    return Pose2D(x, y, math.remainder(theta, math.tau))
+
+
+#: radians that no direction has: twice around
+MOST_TURNED = 4 * math.pi
+_DEGREES = "expected radians, -12.57 to 12.57; are these degrees? multiply them by pi / 180"
 
 
 def check_mount(mount: Pose2D, name: str) -> None:
@@ -258,6 +276,9 @@ class LaserScan:
         if not np.isfinite(self.angles).all():
             i = int(np.argmin(np.isfinite(self.angles)))
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
+        if np.abs(self.angles).max(initial=0.0) > MOST_TURNED + 1:  # straightened ones are moved
+            i = int(np.abs(self.angles).argmax())
+            raise ConfigError(f"angles[{i}]: got {self.angles[i]:g}, {_DEGREES}")
         if self.T_base_laser is not None:
             check_mount(self.T_base_laser, "T_base_laser")
         if not self.duration <= LONGEST_SWEEP:
@@ -720,6 +741,14 @@ class Localization:
             "parameters": {**self.parameters, **parameters},
         }
         return dict(plain(out))
+
+    def __repr__(self) -> str:
+        best = "no pose"
+        if self.best is not None:
+            x, y, theta = self.best
+            at = f"x {x:.3f} m, y {y:.3f} m, theta {math.degrees(theta):.2f} deg"
+            best = f"{at}, mass {self.hypotheses[0].mass:.1%}, {self.explained:.0%} explained"
+        return f"<Localization {self.verdict}: {best}; {len(self.hypotheses)} hypotheses>"
 
     def to_json(self) -> str:
         """The row of :meth:`as_row` as one line of JSON."""

@@ -165,3 +165,59 @@ def test_a_new_user_s_python(tmp_path: Path) -> None:
         picture.save(tmp_path / "where.png")
     assert "pass `force=True` to overwrite it" in str(refused.value)
     picture.save(tmp_path / "where.png", force=True)
+
+
+def test_the_guide_to_own_parts_runs(capsys):
+    page = (ROOT / "tools" / "docs" / "extending.md").read_text("utf-8")
+    names: dict[str, object] = {}
+    for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(compile(block, "extending.md", "exec"), names)
+    near, own, *moments = capsys.readouterr().out.splitlines()
+    assert near.startswith("<Localization unique: x ")
+    assert own.startswith("<Localization ")
+    x, y, _ = names["scans"].poses[0]
+    answer = imgloc.localize(names["features"], names["scan"], names["options"],
+                             stack=names["ends_on_walls"])  # fmt: skip
+    assert np.hypot(answer.best.x - x, answer.best.y - y) < 0.5
+    assert [line.split()[0] for line in moments] == ["0", "1", "2", "3"]
+
+
+def test_what_is_printed_is_one_line(room, monkeypatch, tmp_path):
+    folder, scans = room
+    features = imgloc.prepare(imgloc.load_map(folder / "map.yaml"))
+    answer = imgloc.localize(features, scans[0])
+    reason, picture = imgloc.explain(features, scans[0], answer), imgloc.draw(features, answer)
+    for value in (answer, reason, picture, scans, scans[0], features.grid):
+        assert len(repr(value)) < 250
+        assert "\n" not in repr(value)
+    assert answer._repr_html_().count("<tr>") == 1 + len(answer.hypotheses)
+    assert reason._repr_html_().count("<tr>") == 1 + len(reason.fits)
+    for name, magic in (("a.png", b"\x89PNG"), ("a.jpg", b"\xff\xd8"), ("a.webp", b"RIFF")):
+        picture.save(tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(magic)
+    with pytest.raises(imgloc.ConfigError, match=r"expected a name in .png, .jpg or .webp"):
+        picture.save(tmp_path / "a.gif")
+
+
+def test_degrees_are_refused():
+    with pytest.raises(imgloc.ConfigError, match="theta: got 90, .*are these degrees"):
+        Pose2D(1, 2, 90)
+    with pytest.raises(imgloc.ConfigError, match=r"angles\[0\]: got -90, .*are these degrees"):
+        LaserScan(np.ones(181), np.arange(-90, 91.0))
+    assert Pose2D(0, 0, 4 * np.pi).theta == pytest.approx(0)
+    counted = imgloc.ScanSet((), odom=np.empty((0, 3)))
+    assert len(counted) == 0
+    scan = LaserScan(np.ones(9), np.linspace(-6, 6, 9))
+    wound = imgloc.ScanSet((scan,), odom=np.array([[1.0, 2.0, 100.0]]))
+    assert Pose2D(*wound.odom[0]).theta == pytest.approx(
+        np.remainder(100 + np.pi, 2 * np.pi) - np.pi
+    )
+
+
+def test_a_prior_of_a_region_is_checked(room):
+    folder, _ = room
+    grid = imgloc.load_map(folder / "map.yaml")
+    with pytest.raises(imgloc.ConfigError, match="cells: got bool"):
+        imgloc.region(grid, np.ones((3, 3), bool))
+    with pytest.raises(imgloc.ConfigError):
+        imgloc.near(grid, 1.0, 2.0, 0.0, radius=-1.0)

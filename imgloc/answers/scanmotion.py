@@ -16,7 +16,16 @@ import numpy as np
 
 from imgloc.features.scanpoints import evenly, scan_xy
 from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, Pose2D, compose, inverse
+from imgloc.model import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    LaserScan,
+    Pose2D,
+    compose,
+    inverse,
+    wrapped_pose,
+)
 from imgloc.numbers import number
 
 _FAR, _TURN = number("scanmotion.apart")
@@ -185,7 +194,7 @@ def _share(
     Turns tell of angles, and ways of lengths. `scan` gives the scan of an index.
     """
     moved = way.odom(odom)
-    steps = [compose(inverse(Pose2D(*odom[i])), Pose2D(*odom[j])) for i, j in pairs]
+    steps = [compose(inverse(wrapped_pose(*odom[i])), wrapped_pose(*odom[j])) for i, j in pairs]
     turned = sorted(range(len(pairs)), key=lambda k: -abs(steps[k].theta))
     gone = sorted(
         range(len(pairs)),
@@ -198,7 +207,7 @@ def _share(
         for k in order[:_PAIRS]:
             if k not in seen:
                 i, j = pairs[k]
-                step = compose(inverse(Pose2D(*moved[i])), Pose2D(*moved[j]))
+                step = compose(inverse(wrapped_pose(*moved[i])), wrapped_pose(*moved[j]))
                 seen[k] = overlap(way.scan(scan(i)), way.scan(scan(j)), step, way.unit)
             if not math.isnan(seen[k]):
                 shares.append(seen[k])

@@ -13,7 +13,7 @@ import numpy as np
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.odometry import velocities_at
-from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
+from imgloc.model import LONGEST_SWEEP, MOST_TURNED, FloatArray, LaserScan, Pose2D, wrapped_pose
 from imgloc.options import Logs
 
 _LOG = logging.getLogger("imgloc")
@@ -32,7 +32,6 @@ _OFTEN, _LEAST, _OTHERS = 0.05, 10, 10
 _MAX_TURN = 30.0  # radians of a heading that was counted on: nearly five turns, or 30 degrees
 # Where a scan stands in the file, for messages, and its fields (named as in LaserScan).
 Entry = tuple[str, Mapping[str, Any]]
-_MAX_ANGLE = 4 * np.pi  # twice around: whatever lies beyond was not meant in radians
 
 
 @dataclass(frozen=True)
@@ -80,6 +79,9 @@ class ScanSet:
                 array = np.array(getattr(self, key), dtype=np.float64)
                 if array.shape != shape:
                     raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
+                if len(shape) == 2:  # a heading may have been counted on
+                    far = np.abs(array[:, 2]) > MOST_TURNED
+                    array[far, 2] = np.remainder(array[far, 2] + np.pi, math.tau) - np.pi
                 array.flags.writeable = False
                 object.__setattr__(self, key, array)
 
@@ -173,7 +175,7 @@ def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
     hint = "finite radians (a reading without a direction has to be left out)"
     _check_finite(angles, name, "angles", hint)
     worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
-    if abs(worst) > _MAX_ANGLE:
+    if abs(worst) > MOST_TURNED:
         raise wrong(f"{name}: {key}", f"{worst:g}", _DEGREES)
 
 
@@ -306,7 +308,7 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     stamp, mount = given.get("stamp", math.nan), entry.get("mount")
     _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
-        mount = Pose2D(*_pose(mount, where, "mount"))
+        mount = wrapped_pose(*_pose(mount, where, "mount"))
     try:
         return LaserScan(ranges, angles, low, high, stamp, mount, pace)
     except ConfigError as error:
@@ -424,7 +426,7 @@ def _mounts(mount: FloatArray | None, n: int, name: str) -> list[Pose2D | None]:
     if mount.shape not in ((3,), (n, 3)):
         raise wrong(f"{name}: mount", f"shape {mount.shape}", f"(3,) or {(n, 3)}")
     rows = np.broadcast_to(mount, (n, 3))
-    return [None if np.isnan(r).all() else Pose2D(*_pose(r, name, "mount")) for r in rows]
+    return [None if np.isnan(r).all() else wrapped_pose(*_pose(r, name, "mount")) for r in rows]
 
 
 def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ...]:
