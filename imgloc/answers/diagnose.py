@@ -300,7 +300,7 @@ class _Trial:
         at = f"x {pose.x:.2f} m, y {pose.y:.2f} m, theta {math.degrees(pose.theta):.0f} degrees"
         where = f"at {at}" if self.one else f"at one place each, the first at {at}"
         leave, right = ("leaves", "is it") if len(names) == 1 else ("leave", "are they")
-        text = f"{self.fits} this map {where}, which {asked} {leave} out: {right} right?"
+        text = f"the best fit, {where}, lies outside {asked}: {right} right?"
         return Doubt("prior", text, f"fits where {asked} {leave} out")
 
     def mirrored(self) -> Doubt | None:
@@ -401,9 +401,8 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
         text = (
             "the walls of this map are drawn thick, as on maps that no laser made. imgloc took "
             f"them to be {less:.2f} m thinner on each side, and each piece of them to stand "
-            f"{off:.2f} m off. One scan hardly tells where the robot is on such a map, or whether "
-            "it is there. imgloc track finds it over some metres; a map of the robot's own scans "
-            "gives surer poses"
+            f"{off:.2f} m off. On such a map one scan is rarely enough. imgloc track finds the robot "
+            "over some metres; a map of the robot's own scans gives surer poses"
         )
         return [Doubt("thick", text, "thick walls: imgloc track")]
     if 2 * len(scales) > count:

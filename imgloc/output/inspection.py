@@ -156,10 +156,11 @@ def _sensor(sensor: Sequence[float] | None) -> str:
 
 def _on_map(facts: Mapping[str, Any]) -> str:
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in facts["on_map"].items() if n)
-    new = facts["not_on_map"]
-    return f"{verdicts or 'no scan to try'}" + (
-        "" if new is None else f"; {100 * new:.0f} % of the rays see what is not on it"
-    )
+    new, tried = facts["not_on_map"], sum(facts["on_map"].values())
+    if not tried:
+        return "no scan to try"
+    ends = "" if new is None else f"; {100 * new:.0f} % of their rays end where the map is empty"
+    return f"{tried} scan{'s' if tried > 1 else ''} tried: {verdicts}{ends}"
 
 
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:
