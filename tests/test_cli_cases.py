@@ -120,3 +120,27 @@ def test_each_cause_of_invalid_has_a_sentence(cause: str, tmp_path: Path) -> Non
     assert "scan 0: invalid" in run.out
     assert f"this scan has too few readings to be placed: of {len(entry['ranges'])}" in run.err
     assert cause in run.err
+
+
+@pytest.mark.parametrize(("words", "hint"), [
+    ("check office.yaml", "expected imgloc map check"), ("show office.yaml", "imgloc map show"),
+    ("map office.yaml", "imgloc map check office.yaml"), ("run.bag", "imgloc inspect run.bag"),
+    ("map show office.yaml --output a.png", "--output: expected --out"),
+    ("localize office.yaml a.npz --output a.json", "--json as JSON, and --picture FILE draws"),
+    ("localize office.yaml a.npz -o a.json", "> FILE keeps them"),
+])  # fmt: skip
+def test_a_slip_of_the_command_line_is_told_what_would_do(words: str, hint: str) -> None:
+    run = call(*words.split())
+    assert (run.code, run.out) == (2, "")
+    assert hint in run.err
+
+
+def test_the_help_has_groups_and_whole_sentences() -> None:
+    text = call("--help").out
+    assert "..." not in text.split("Options:")[1].split("Examples:")[0]
+    assert [text.index(f"\n{title}:") for title in ("First steps", "Folders", "Maps", "Measure")]
+    text = call("localize", "--help").out
+    usual = text.split("\nOptions:\n")[1].split("\n\n")[0]
+    assert usual.count("\n  --") + 1 == 10
+    for title in ("Search", "Known of the pose", "Scans", "Map image", "Machine", "More options"):
+        assert f"\n{title}:\n" in text

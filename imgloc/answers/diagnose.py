@@ -401,8 +401,8 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
         text = (
             "the walls of this map are drawn thick, as on maps that no laser made. imgloc took "
             f"them to be {less:.2f} m thinner on each side, and each piece of them to stand "
-            f"{off:.2f} m off. On such a map one scan is rarely enough. imgloc track finds the robot "
-            "over some metres; a map of the robot's own scans gives surer poses"
+            f"{off:.2f} m off. On such a map one scan is rarely enough. imgloc track finds the "
+            "robot over some metres; a map of the robot's own scans gives surer poses"
         )
         return [Doubt("thick", text, "thick walls: imgloc track")]
     if 2 * len(scales) > count:

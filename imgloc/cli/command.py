@@ -45,6 +45,17 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "filters": ("--filter",),
     "index": ("--scans-index", "--maps-index"),
 }
+#: Options that come first in the help, as many as :data:`_FIRST` of them.
+USUAL = (
+    "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
+    "--sensor", "--flipped", "--range-max", "--resolution", "--force",
+)  # fmt: skip
+_FIRST, _FEW = 10, 16  # usual options; options of a command that needs no groups
+_PANELS = {
+    "Options": "Search", "Known": "Known of the pose", "Drawn": "Search", "Mounting": "Scans",
+    "Logs": "Scans", "Chosen": "Scans", "ScanFiles": "Scans", "MapImages": "Map image",
+    "Resources": "Machine", "Kept": "Machine", "Sensor": "Simulated laser", "Followed": "Filter",
+}  # fmt: skip
 Given = frozenset[str]  #: names of the options that were typed, as they are written
 Typed = dict[str, list[str]]  #: their words, name and values, as another command takes them
 
@@ -69,7 +80,28 @@ class Without(Only):
 
 
 class Command(TyperCommand):
-    """A command that tells the new name of an option by its old one."""
+    """A command that tells the new name of an option by its old one; its help has groups."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments, the usual options, and the others by what they are about."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        params = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
+        shown = [(param, record) for param, record in params if record is not None]
+        own = {name: record for param, record in shown for name in param.opts}
+        first = [own[name] for name in USUAL if name in own][:_FIRST]
+        for param, record in shown:
+            panel = getattr(param, "rich_help_panel", None)
+            if param.param_type_name == "argument":
+                groups["Arguments"].append(record)
+            elif record not in first:
+                title = "Options" if len(shown) <= _FEW else panel or "More options"
+                groups.setdefault(title, []).append(record)
+        groups["Options"] = first + groups["Options"]
+        more = groups.pop("More options", [])
+        for title, records in [*groups.items(), ("More options", more)]:
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
 
     def get_params(self, ctx: Any) -> Any:
         """The options, and that for help."""
@@ -80,10 +112,14 @@ class Command(TyperCommand):
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
-            there = RENAMED.get(old.removeprefix("--"), ())
-            new = next((name for name in there if name in own), None)
+            names = RENAMED.get(old.removeprefix("--"), ())
+            new = next((name for name in names if name in own), None)
             if new is not None and old not in own:
                 raise ConfigError(f"{old}: expected {new}, which is its name now")
+            if old in ("--output", "-o") and old not in own:
+                also = ", and --picture FILE draws them" if "--picture" in own else ""
+                where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
+                raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")
         return super().parse_args(ctx, args)
 
 
@@ -233,6 +269,7 @@ def _parameter(part: _Part, field: Declared) -> inspect.Parameter:
         kind = list[str]
     names = [name for name in option.names if name.startswith("-")]
     about: dict[str, Any] = {"help": help_of(field), "show_default": False}
+    about["rich_help_panel"] = _PANELS.get(_kind_name(part))
     default = ... if field.default is MISSING else None
     if isinstance(field.limit, OneOf):
         about["autocompletion"] = _completion(field.limit.names)
