@@ -25,6 +25,7 @@ from imgloc.simulation.scans import simulate
 README = (ROOT / "README.md").read_text("utf-8")
 PAGES = {"README.md": README}
 PAGES |= {p.name: p.read_text("utf-8") for p in sorted((ROOT / "tools" / "docs").glob("*.md"))}
+TOUR = PAGES["start.md"]
 
 
 def commands(page: str) -> list[str]:
@@ -34,9 +35,11 @@ def commands(page: str) -> list[str]:
     return [line for line in found if " " in line]
 
 
-def test_the_tour_is_short_and_has_its_commands() -> None:
-    assert len(README.splitlines()) <= 200
-    names = {line.split()[0] for line in commands(README)}
+def test_the_readme_is_short_and_the_tour_has_its_commands() -> None:
+    assert len(README.splitlines()) <= 90
+    assert len(README.split()) <= 700
+    assert [line.split()[0] for line in commands(README)] == ["inspect", "localize", "track"]
+    names = {line.split()[0] for line in commands(TOUR)}
     assert names >= {"inspect", "map", "localize", "which", "track", "atlas", "simulate", "sample"}
     assert names >= {"batch", "report", "export"}
 
@@ -73,7 +76,7 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_command_of_the_readme_runs_as_it_is_written(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for line in commands(README) + commands(PAGES["compared.md"]):
+    for line in commands(README) + commands(TOUR) + commands(PAGES["compared.md"]):
         line, _, read = line.partition(" < ")
         if read:
             monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(Path(read).read_bytes())))
@@ -87,20 +90,25 @@ def test_every_command_of_the_readme_runs_as_it_is_written(
 
 @pytest.mark.usefixtures("robot")
 def test_the_lines_of_python_run() -> None:
-    (block,) = re.findall(r"^```python\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
-    names: dict[str, object] = {}
-    for _ in range(2):  # as a reader does who has changed a line
-        exec(block, names)
-    assert Path("where.png").stat().st_size > 1000
-    assert names["answer"].verdict == "unique"
+    for page in (README, TOUR):
+        (block,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+        names: dict[str, object] = {}
+        for _ in range(2):  # as a reader does who has changed a line
+            exec(block, names)
+        assert Path("where.png").stat().st_size > 1000
+        assert names["answer"].verdict == "unique"
+        Path("where.png").unlink()
 
 
 @pytest.mark.usefixtures("robot")
 def test_the_example_files_are_read() -> None:
-    for name, start, count in (("a.csv", "# scans.csv", 2), ("a.json", "{", 1)):
-        (block,) = re.findall(rf"^```\w*\n({re.escape(start)}[^`]*)```", README, re.MULTILINE)
+    (words,) = re.findall(r"`imgloc (localize curved scan.csv)`", TOUR)
+    for name, start in (("scan.csv", "# scan.csv"), ("a.json", "{")):
+        (block,) = re.findall(rf"^```\w*\n({re.escape(start)}[^`]*)```", TOUR, re.MULTILINE)
         Path(name).write_text(block)
-        assert len(load_scans(name)) == count
+        assert len(load_scans(name)) == 1
+        run = call(*words.replace("scan.csv", name).split())
+        assert run.out.startswith("scan 0: unique\n  pose       x 12.0"), run.out
 
 
 @pytest.mark.parametrize("name", list(PAGES))

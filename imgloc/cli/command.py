@@ -116,7 +116,7 @@ class Command(TyperCommand):
             new = next((name for name in names if name in own), None)
             if new is not None and old not in own:
                 raise ConfigError(f"{old}: expected {new}, which is its name now")
-            if old in ("--output", "-o") and old not in own:
+            if old.lstrip("-") in ("output", "o") and old not in own:
                 also = ", and --picture FILE draws them" if "--picture" in own else ""
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
                 raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")

@@ -70,8 +70,9 @@ def _checked(message: Any, where: str) -> dict[str, Any]:
     ranges = message["ranges"]
     if isinstance(ranges, list) and "..." in ranges[-1:]:
         raise ScanError(f"{where}: ranges: shortened after {len(ranges) - 1} readings; {_ALL}")
-    if isinstance(ranges, str) and ranges.startswith("<"):  # by --no-arr
-        raise ScanError(f"{where}: ranges: left out, {ranges[:60]!r}; {_ALL}, without --no-arr")
+    if isinstance(ranges, str) and ranges.startswith("<"):  # by the option no-arr
+        hint = f"{_ALL}, without its option no-arr"
+        raise ScanError(f"{where}: ranges: left out, {ranges[:60]!r}; {hint}")
     for key in ("angle_min", "angle_max", "angle_increment"):
         if isinstance(message.get(key), str):  # 5e-2 has no point: a string to YAML 1.1
             try:

@@ -61,9 +61,7 @@ _OTHERS = {
     ".db": "a database, as of RTAB-Map; map_saver_cli saves the map while RTAB-Map runs",
     ".bt": "an octree; octomap_server publishes a map of it, and map_saver_cli saves that",
     ".dwg": "a drawing; save it as DXF, and imgloc map plan makes a map of it",
-    **dict.fromkeys(
-        (".pdf", ".svg", ".dxf"), "a drawing; imgloc map plan FILE --out map.yaml makes a map of it"
-    ),
+    **dict.fromkeys((".pdf", ".svg", ".dxf"), "a drawing; imgloc map plan makes a map of it"),
 }
 """What files are that people take for maps, and what makes maps of them."""
 
