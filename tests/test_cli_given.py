@@ -81,7 +81,7 @@ def test_angles_that_contradict_each_other_may_be_stated(tmp_path: Path) -> None
     said = {"angle_min": 3.14, "angle_max": -3.14, "angle_increment": 0.1, "ranges": [1.0] * 60}
     path.write_text(json.dumps(said))
     run = call("inspect", path)
-    assert (run.code, "Or pass --fov-deg" in run.err) == (4, True)
+    assert (run.code, "or pass --fov-deg" in run.err) == (4, True)
     assert "-180 to 174 degrees" in call("inspect", path, "--fov-deg", 360).out
     np.testing.assert_allclose(
         load_scans(path, fov=np.pi)[0].angles[[0, -1]], [-np.pi / 2, np.pi / 2]

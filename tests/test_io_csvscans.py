@@ -69,6 +69,13 @@ def exported(kind: str) -> str:
     if kind == "angles first in degrees":
         return table(["time", *np.rad2deg(ANGLES).round(4)],
                      [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])  # fmt: skip
+    if kind == "rounded angles first":
+        fine = np.linspace(-np.pi / 2, np.pi / 2, 361).round(2)
+        return table(["", *fine], [[t, *np.resize(RANGES[k], 361)] for k, t in enumerate(STAMPS)])
+    if kind == "names that say nothing":
+        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+        head = [f"Var{k + 1}" for k in range(RAYS + 1)]
+        return said + table(head, [[0.1 * k, *RANGES[k]] for k in range(N)])
     if kind == "angles down":
         return table([], [[a, *RANGES[:, k]] for k, a in enumerate(ANGLES)])
     if kind == "angles down by name":
@@ -170,3 +177,22 @@ def test_tables_go_through_the_command(shared: Path) -> None:
 def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="angles: missing, expected a first line '# angle_min="):
         loaded(tmp_path, table([], RANGES.tolist()))
+
+
+def test_angles_that_were_rounded_and_a_time_without_a_name(tmp_path: Path) -> None:
+    scans = loaded(tmp_path, exported("rounded angles first"))
+    assert len(scans) == N
+    np.testing.assert_allclose(scans[0].angles, np.linspace(-np.pi / 2, np.pi / 2, 361), atol=0.006)
+    scans = loaded(tmp_path, exported("names that say nothing"))
+    assert len(scans[0].ranges) == RAYS
+    assert scans.stamps is not None
+    np.testing.assert_allclose(scans.stamps, 0.1 * np.arange(N))
+
+
+@pytest.mark.parametrize("said", ["angle_min=-90, angle_max=90", "angle_min=nan, angle_max=1"])
+def test_a_view_that_is_stated_wins_over_angles_that_cannot_be(tmp_path: Path, said: str) -> None:
+    (tmp_path / "a.csv").write_text(f"# {said}\n" + table([], RANGES.tolist()))
+    with pytest.raises(ScanError, match=r"angle.*; or pass `fov`"):
+        load_scans(tmp_path / "a.csv")
+    scans = load_scans(tmp_path / "a.csv", fov=np.pi)
+    np.testing.assert_allclose(scans[0].angles, ANGLES)

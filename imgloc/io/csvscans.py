@@ -47,7 +47,8 @@ _ROLES = (
     (re.compile(r"range|dist|distance|r"), "range"),
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
-_EVEN = 8  # numbers that rise evenly by chance in no scan
+_EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
+_EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
@@ -174,8 +175,8 @@ class _Table:
                 return self._readings({"angle": 0, "range": 1}, [("", 0, 1.0)] * 2, parsed=True)
             if self._turns(fov):
                 return self._columns(0, 1.0)
-            if self._rises():
-                by, roles, ranges = {"time": 0}, [("time", 0, 1.0)], ranges[1:]
+        if not {"time", "stamp", "seconds"} & by.keys() and ranges[:1] == [0] and self._rises():
+            by, roles, ranges = {**by, "time": 0}, [("time", 0, 1.0), *roles[1:]], ranges[1:]
         if len(ranges) == 1 and len(self.rows) > 1:
             expected = (
                 "a scan a line, its ranges with commas between, or two columns, angle and range"
@@ -261,8 +262,9 @@ class _Table:
         table = np.array([row[:2] for _, row in self.rows])
         if len(table) < 2 or table.shape[1] < 2 or np.isnan(table[:, 0]).any():
             return False
-        rises = [bool((np.diff(column) > 0).all()) for column in table.T]
-        if rises != [True, False] or (len(table) < 4 and table[0, 0] < 1e8):
+        steps = np.diff(table, axis=0)
+        rises = [bool((s >= 0).all() and 2 * np.count_nonzero(s) > len(s)) for s in steps.T]
+        if not table[0, 0] > _EPOCH and (rises != [True, False] or len(table) < 4):
             return False
         text = "the first column rises from line to line: it is taken for the time, not for a range"
         _LOG.warning("%s: %s", self.name, text, extra={"code": "time-column"})
@@ -374,14 +376,13 @@ def _angle_row(body: Sequence[Row], settings: Mapping[str, Any]) -> FloatArray |
 
 def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | None:
     """Numbers as angles in radians, if they rise or fall evenly and no ranges would; else None."""
-    steps = np.diff(row)
-    if len(row) < _EVEN or not np.isfinite(row).all() or not (steps * steps[0] > 0).all():
+    if len(row) < _EVEN or not np.isfinite(row).all():
         return None
-    if np.ptp(steps) > 0.2 * abs(np.median(steps)) + 1e-3 or (
-        "angle_min" in settings and row.min() >= 0
-    ):
+    even, whole = np.linspace(row[0], row[-1], len(row)), abs(row[-1] - row[0])
+    step = whole / (len(row) - 1)
+    off = np.abs(row - even).max() / max(step, 1e-9)  # of rounded angles up to a half
+    if off > (1 if len(row) > _MANY else 0.1) or ("angle_min" in settings and row.min() >= 0):
         return None
-    whole = abs(row[-1] - row[0])
     if whole <= math.tau + 0.1 and np.abs(row).max() <= math.tau + 0.1:
         return row
     return np.deg2rad(row) if whole <= 366 and np.abs(row).max() <= 366 else None

@@ -292,16 +292,21 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         for key in (*(SPACING if spaced else ()), "range_min", _PACE, "stamp")
         if entry.get(key) is not None
     }
-    for key in SPACING:
-        _check_angles(np.array([given.get(key, 0.0)]), where, key)
-    angles = (
-        _spaced_angles(given, len(ranges), where)
-        if spaced
-        else numbers(entry["angles"], where, "angles", ndim=(1,))
-    )
-    if len(angles) != len(ranges):
-        raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
-    _check_angles(angles, where)
+    try:
+        for key in SPACING:
+            _check_angles(np.array([given.get(key, 0.0)]), where, key)
+        angles = (
+            _spaced_angles(given, len(ranges), where)
+            if spaced
+            else numbers(entry["angles"], where, "angles", ndim=(1,))
+        )
+        if len(angles) != len(ranges):
+            raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
+        _check_angles(angles, where)
+    except ScanError as error:
+        if (fov := _STATED.get().fov) is None:
+            raise ScanError(f"{error}; or pass `fov`") from None
+        angles = spread(len(ranges), fov)
     low, high = given.get("range_min", 0.0), entry.get("range_max")
     _check_limits(low, math.inf, where)
     high = math.inf if high is None else reach_of(high, f"{where}: range_max", low)
@@ -343,9 +348,7 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
     angles = first + np.arange(count, dtype=np.float64) * step
     # Drivers disagree on whether angle_max is the last ray or the one after it.
     if last is not None and abs(last - angles[-1]) > 2.5 * abs(step):
-        if (fov := _STATED.get().fov) is not None:
-            return spread(count, fov)
-        rule = f"angle_min + {count - 1} x angle_increment; were readings left out? Or pass `fov`"
+        rule = f"angle_min + {count - 1} x angle_increment; were readings left out?"
         raise wrong(f"{where}: angle_max", f"{last:g}", f"{angles[-1]:g} = {rule}")
     return np.asarray(angles)
 
