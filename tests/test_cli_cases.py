@@ -144,3 +144,18 @@ def test_the_help_has_groups_and_whole_sentences() -> None:
     assert usual.count("\n  --") + 1 == 10
     for title in ("Search", "Known of the pose", "Scans", "Map image", "Machine", "More options"):
         assert f"\n{title}:\n" in text
+
+
+@pytest.mark.parametrize(("name", "text", "hint"), [
+    ("a.log", "## Player version 3.0.2 \n0001.5 1 6665 laser 00 1 1", "Player"),
+    ("a.txt", "time {\n  sec: 12\n  nsec: 5\n}\nangle_min: -1.5\nranges: 1\n", "ros_gz_bridge"),
+    ("a.csv", "header {\n  data {\n    key: \"seq\"\n  }\n}\nangle_step: 1\n", "gz topic"),
+])  # fmt: skip
+def test_texts_of_simulators_are_told_what_would_do(
+    name: str, text: str, hint: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text(text)
+    run = call("inspect", tmp_path / name)
+    assert run.code == 4
+    assert hint in run.err
+    assert "expected a number" not in run.err

@@ -33,6 +33,7 @@ from imgloc.io.echo import read_echo
 from imgloc.io.files import (
     PathLike,
     display,
+    is_file,
     is_folder,
     is_there,
     open_file,
@@ -215,6 +216,13 @@ _MAGIC = (
     (rb"(?:\s*#[^\n]*\n)*\s*[-+.\w]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
+_SPOKEN = (
+    (rb"## Player version", "a log of Player; of its laser lines every other number is a range: "
+     "write these as CSV"),
+    (rb"(header|time|scan|frame) *:? *\{\s",
+     "what gz topic prints; ros_gz_bridge makes a LaserScan of it, or gz topic prints JSON"),
+)  # fmt: skip
+"""Texts that are no log of scans by how they begin, and what makes one of them."""
 _CONVERTED = {
     ".npy": "an array without angles: np.savez('scans.npz', ranges=..., angles=..., range_max=...)",
     ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
@@ -264,6 +272,8 @@ def _kind_of(path: PathLike) -> _Kind:
                 if re.match(rb"#ROSBAG V1|#ROSRECORD", opened.read(_HEAD)):
                     hint = "rosbag fix old.bag new.bag of ROS 1 makes one of version 2.0"
                     raise ScanError(f"{name}: is a bag of a version before 2.0; {hint}")
+        if kind in (_CARMEN, _CSV) and is_file(file):
+            _refuse_spoken(path)
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
         return kind
@@ -273,12 +283,22 @@ def _kind_of(path: PathLike) -> _Kind:
     with open_text(path) as (opened, _):
         head = opened.read(_HEAD)
     head = unmarked(head)
+    _refuse_spoken(path)
     if ending in ("", ".txt", ".dat", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):
                 return kind
     found = f"ending {display(ending)!r} is no scan format" if ending else "no known scan format"
     raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)}")
+
+
+def _refuse_spoken(path: PathLike) -> None:
+    """ScanError for a text of a program whose scans are not read, with what would do."""
+    with open_text(path) as (opened, _):
+        head = opened.read(_HEAD)
+    for pattern, hint in _SPOKEN:
+        if re.match(pattern, head, re.MULTILINE | re.DOTALL):
+            raise ScanError(f"{display(path)}: cannot be read: {hint}")
 
 
 def _npz_size(path: PathLike) -> ScansSize:
