@@ -15,6 +15,7 @@ import typer.main
 from command import ROOT, call
 from places import room_with_a_post
 
+from imgloc.cli import app
 from imgloc.cli.app import program
 from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
@@ -148,3 +149,41 @@ def test_the_lines_that_convert_a_log_make_scans_of_it(tmp_path: Path, monkeypat
     assert scans.stamps.tolist() == [12.5, 13.5]
     assert scans.odom[1].tolist() == pytest.approx([1.1, 2, np.pi / 2], abs=1e-5)
     assert scans[1].ranges.tolist() == [2.31, 2.3, 1.03]
+
+
+SLOW = {"node", "serve", "open", "evaluate", "calibrate", "plan", "clear"}
+"""Commands that wait for others, take minutes, or need a drawing; these examples only parse."""
+EXAMPLES = {
+    function.__name__: [
+        line for line in lines if not re.search(r"\.bag|dask|\.gz|--job check", line)
+    ]
+    for commands_ in (app._COMMANDS, app._MAP)
+    for function, lines in commands_.items()
+    if function.__name__ not in SLOW
+}
+
+
+@pytest.mark.usefixtures("robot")
+def test_an_example_of_each_command_runs() -> None:
+    scans = load_scans("scans.npz")
+    drive = scans.take([0] * 6)
+    odom = np.column_stack([0.1 * np.arange(6), np.zeros((6, 2))])
+    save_scans("log.npz", replace(drive, poses=None, stamps=np.arange(6.0), odom=odom))
+    for name in ("office", "a", "b", "office-new"):
+        for ending in ("yaml", "png"):
+            shutil.copy(f"map.{ending}", f"{name}.{ending}")
+        said = Path("map.yaml").read_text("utf-8").replace("map.png", f"{name}.png")
+        Path(f"{name}.yaml").write_text(said)
+    shutil.copy("run.log", "monday.log")
+    assert len(EXAMPLES) >= 15
+    for name, lines in EXAMPLES.items():
+        words = shlex.split(lines[0].partition(" < ")[0].partition(" > ")[0])[1:]
+        run = call(*words, *_enough(name))
+        assert run.code == 0, (lines[0], run.err)
+
+
+def _enough(command: str) -> list[str]:
+    """What makes an example quick, or lets it write where the one before wrote."""
+    more = {"atlas": ["--step", "3"], "batch": ["--workers", "1"], "report": ["--force"],
+            "simulate": ["--force"]}  # fmt: skip
+    return more.get(command, [])
