@@ -6,6 +6,7 @@ from .answers.sample import sample_poses
 from .choice.choose import Choice, which
 from .errors import ConfigError, ImglocError, MapError, OutputError, ScanError
 from .features.mapfeatures import MapFeatures
+from .filters.belief import Belief, Filter
 from .filters.choose import make_filter
 from .filters.follow import Moment, Tracking, follow
 from .io.mapcheck import MapReport, check_map
@@ -16,7 +17,7 @@ from .io.scanset import ScanSet
 from .lab.align import Alignment, ScanAlignment, align_maps, align_scans
 from .lab.changes import Changes, map_changes, sure_poses
 from .lab.evaluation import Evaluation, evaluate
-from .likelihoods.stacks import likelihood
+from .likelihoods.stacks import Stack, likelihood
 from .live.line import Dropped
 from .live.localizer import Answer, Localizer
 from .live.sites import Site
@@ -53,18 +54,20 @@ from .plans.files import load_plan
 from .plans.floorplan import FloorPlan, plan_to_map
 from .runs.batch import BatchSummary, run_batch
 from .runs.jobs import Job, make_job
+from .runs.priors import near, region
 from .simulation.scans import simulate
 
 __all__ = [
-    "ALL_METHODS", "METHODS", "Alignment", "Answer", "BatchSummary", "Calibration", "Changes",
-    "Choice", "ConfigError", "Dropped", "Evaluation", "Every", "Evidence", "Explanation",
-    "Floor", "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job", "Known",
-    "LaserScan", "Likelihood", "Limits", "Localization", "Localizer", "MapError", "MapFeatures",
-    "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
-    "Pose2D", "Prior", "Protection", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared",
-    "Site", "Tracking", "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw",
-    "evaluate", "explain", "follow", "grid_from_msg", "grid_to_msg", "likelihood", "load_map",
-    "load_plan", "load_scans", "localize", "localize_many", "make_filter", "make_job",
-    "map_changes", "plan_to_map", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",
-    "scan_from_msg", "scan_to_msg", "simulate", "sure_poses", "which",
+    "ALL_METHODS", "METHODS", "Alignment", "Answer", "BatchSummary", "Belief", "Calibration",
+    "Changes", "Choice", "ConfigError", "Dropped", "Evaluation", "Every", "Evidence",
+    "Explanation", "Filter", "Floor", "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis",
+    "ImglocError", "Job", "Known", "LaserScan", "Likelihood", "Limits", "Localization",
+    "Localizer", "MapError", "MapFeatures", "MapReport", "Moment", "OccupancyGrid", "Options",
+    "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior", "Protection",
+    "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared", "Site", "Stack", "Tracking",
+    "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw", "evaluate",
+    "explain", "follow", "grid_from_msg", "grid_to_msg", "likelihood", "load_map", "load_plan",
+    "load_scans", "localize", "localize_many", "make_filter", "make_job", "map_changes",
+    "near", "plan_to_map", "prepare", "region", "run_batch", "sample_poses", "save_map",
+    "save_scans", "scan_from_msg", "scan_to_msg", "simulate", "sure_poses", "which",
 ]  # fmt: skip

@@ -17,9 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.equality import ByContent
+from imgloc.errors import ConfigError
+from imgloc.pose import DEGREES
+from imgloc.pose import MOST_TURNED as MOST_TURNED
 from imgloc.pose import MOUNTED as MOUNTED
 from imgloc.pose import Pose2D as Pose2D
 from imgloc.pose import check_mount as check_mount
+from imgloc.pose import wrapped_pose as wrapped_pose
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -223,6 +227,9 @@ class LaserScan(ByContent):
         if not np.isfinite(self.angles).all():
             i = int(np.argmin(np.isfinite(self.angles)))
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
+        if np.abs(self.angles).max(initial=0.0) > MOST_TURNED + 1:  # straightened ones are moved
+            i = int(np.abs(self.angles).argmax())
+            raise ConfigError(f"angles[{i}]: got {self.angles[i]:g}, {DEGREES}")
         if self.T_base_laser is not None:
             check_mount(self.T_base_laser, "T_base_laser")
         if not self.duration <= LONGEST_SWEEP:
@@ -695,6 +702,14 @@ class Localization(ByContent):
             "parameters": {**self.parameters, **parameters},
         }
         return dict(plain(out))
+
+    def __repr__(self) -> str:
+        best = "no pose"
+        if self.best is not None:
+            x, y, theta = self.best
+            at = f"x {x:.3f} m, y {y:.3f} m, theta {math.degrees(theta):.2f} deg"
+            best = f"{at}, mass {self.hypotheses[0].mass:.1%}, {self.explained:.0%} explained"
+        return f"<Localization {self.verdict}: {best}; {len(self.hypotheses)} hypotheses>"
 
     def to_json(self) -> str:
         """The row of :meth:`as_row` as one line of JSON."""

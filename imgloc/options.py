@@ -790,8 +790,8 @@ class Logs(Checked):
     )
     max_bad: Share = option(
         MAX_BAD,
-        "Share of the lines of a file that may be broken: they are left out, and named. A file "
-        "with more of them is refused.",
+        "Share of the lines or messages of a file that may be broken: they are left out, and "
+        "named. A file with more of them is refused.",
     )
     straighten: Sweeps = option(
         "no",

@@ -25,10 +25,10 @@ from imgloc.features.floor import floors, left_out
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.io.maps import require_usable
-from imgloc.likelihoods.stacks import check_stack, likelihood
+from imgloc.likelihoods.stacks import Stack, likelihood, made_stack
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import FUSED, FusedOptions, Options, Shared
+from imgloc.options import FUSED, METHODS, FusedOptions, Options, Shared
 from imgloc.search.adapt import THINNER, adapt, drawn_gain, drawn_walls
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
@@ -85,7 +85,7 @@ def localize(
     scan: LaserScan,
     options: Options | None = None,
     *,
-    stack: Likelihood | None = None,
+    stack: Likelihood | Stack | None = None,
 ) -> Localization:
     """Find every pose that fits a scan, with the probability of each and a verdict.
 
@@ -97,8 +97,10 @@ def localize(
         The scan, in the sensor frame.
     options : Options, optional
         Method, prior and limits of the search. By default the whole map is searched.
-    stack : Likelihood, optional
-        Stack of this method, map and scan from :func:`likelihood`, to save computing it again.
+    stack : Likelihood or Stack, optional
+        Stack of this method, map and scan from :func:`likelihood`, to save computing it again; or
+        one of a method of your own, or a function that makes it: see
+        :class:`~imgloc.likelihoods.stacks.Stack`.
 
     Returns
     -------
@@ -119,7 +121,7 @@ def localize(
     check_options(features, options)
     expect(scan, LaserScan, "scan")
     if stack is not None:
-        check_stack(stack, features, scan, options)
+        stack = made_stack(stack, features, scan, options)
     return _located(features, scan, options, stack)
 
 
@@ -167,6 +169,8 @@ def _located(
     start = time.perf_counter()
     if scan.directions < max(1, options.trust.readings):
         weighed = nothing(options)
+    elif stack is not None and stack.method not in METHODS:
+        weighed = weigh_stack(features, scan, stack, options)
     elif options.method == FUSED:
         found = find_adapted_modes(features, scan, options)
         weighed = weigh(features, found, options, scan)

@@ -9,6 +9,9 @@ from imgloc.errors import ConfigError
 
 MOUNTED = 5.0
 """Largest distance of a sensor from the base of its robot, metres."""
+MOST_TURNED = 4 * math.pi
+"""Radians that no direction has: twice around."""
+DEGREES = "expected radians, -12.57 to 12.57; are these degrees? multiply them by pi / 180"
 
 
 @final
@@ -34,12 +37,25 @@ class Pose2D:
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", float(self.x))
         object.__setattr__(self, "y", float(self.y))
+        if abs(self.theta) > MOST_TURNED:
+            raise ConfigError(f"theta: got {self.theta:g}, {DEGREES}")
         theta = math.remainder(self.theta, math.tau)
         object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
 
     def __iter__(self) -> Iterator[float]:
         """Yield x, y and theta."""
         return iter((self.x, self.y, self.theta))
+
+
+def wrapped_pose(x: float, y: float, theta: float) -> Pose2D:
+    """Return the pose of a robot whose heading, radians, may have been counted on over many turns.
+
+    Examples
+    --------
+    >>> wrapped_pose(1.0, 2.0, 10 * math.pi + 0.5).theta.__round__(6)
+    0.5
+    """
+    return Pose2D(x, y, math.remainder(theta, math.tau))
 
 
 def check_mount(mount: Pose2D, name: str) -> None:

@@ -260,7 +260,7 @@ def _scan_faults() -> dict[str, tuple[bytes, str]]:
         "stamps_shape.npz": (but(stamps=np.zeros(2)), "stamps: got shape (2,)"),
         "bad_word.csv": (head + b"1,2,3\n1,oops,3\n", "line 3: column 2: got 'oops'"),
         "ragged.csv": (head + b"1,2,3\n1,2\n", "line 3: 2 numbers, expected 3"),
-        "semicolons.csv": (head + b"1,5;2,5;3,5\n", "decimal points"),
+        "words.csv": (head + b"1,2,3\nfar;near;5\n", "line 3: column 1: got 'far'"),
         "no_angles.csv": (b"1,2,3\n", "angles: missing"),
         "no_lines.csv": (head, "no scan"),
         "half_pose.csv": (head + b"x,y,r0,r1\n1,2,3,4\n", "columns x, y"),

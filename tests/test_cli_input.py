@@ -92,7 +92,7 @@ def test_after_a_run_it_is_said_how_it_went(scans: Path) -> None:
     assert re.search(said + r"median error 0\.\d+ m and \d\.\d+ deg\n$", run.err)
     one = call("localize", "curved", scans, OFF, "--scans-index", 0)
     assert "sd xy / m" in one.out
-    assert re.search(r"a wall shares\n\d\.\d % of the mass is in none of these rows", one.out)
+    assert re.search(r"common to one wall\nnot shown above: \d\.\d % of the probability", one.out)
     verbose = call("localize", "curved", scans, OFF, "-v").err
     assert re.search(r"a\.npz, scan 1: unique, localize \d+ ms", verbose)
     assert "{" not in verbose

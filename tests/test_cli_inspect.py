@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
@@ -70,6 +71,12 @@ def coded(code: float) -> Callable[[LaserScan], Any]:
     )
 
 
+def jittering(scan: LaserScan) -> Any:
+    """Three values side by side in place of each tenth reading."""
+    code = np.array([51.05, 51.1, 51.15])[np.arange(len(scan.ranges)) % 3]
+    return np.where(np.arange(len(scan.ranges)) % 10 == 3, code, np.minimum(scan.ranges, 40.0))
+
+
 def stamped(change: Callable[[Any], None]) -> Callable[[ScanSet], ScanSet]:
     def made(scans: ScanSet) -> ScanSet:
         stamps = scans.stamps.copy()
@@ -120,10 +127,27 @@ DISTURBED = {
     "centimetres": Case(ranged(lambda s: 100 * s.ranges), "units"),
     "a code and no range_max": Case(ranged(coded(45.5), range_max=math.inf), "codes"),
     "a code below range_max": Case(ranged(coded(9.5)), "codes"),
+    "a code that jitters": Case(
+        lambda scans: each(scans, lambda s: replace(s, ranges=jittering(s), range_max=80.0)),
+        "codes",
+    ),
+    "nothing seen is 0": Case(
+        ranged(lambda s: np.where(np.arange(len(s.ranges)) % 20, 0.0, s.ranges)), "few"
+    ),
+    "most rays see nothing, which is 0": Case(
+        ranged(lambda s: np.where(np.arange(len(s.ranges)) % 4, 0.0, s.ranges)), "too-close"
+    ),
+    "joined to itself": Case(lambda s: s.take([*range(len(s)), *range(len(s))]), "twice"),
     "range_max too small": Case(ranged(lambda s: s.ranges, range_max=0.4, range_min=0), "few"),
     "the robot in view": Case(ranged(body, range_min=0), "own-body"),
     "upside down": Case(lambda scans: each(scans, lambda s: s.flipped), "flipped"),
     "backwards": Case(turned(math.pi), "mounting"),
+    "upside down and backwards": Case(
+        lambda scans: turned(math.pi)(each(scans, lambda s: s.flipped)), "flipped"
+    ),
+    "backwards in millimetres": Case(
+        lambda scans: each(turned(math.pi)(scans), lambda s: s.scaled(8)), "disagree"
+    ),
     "to the left": Case(turned(-math.pi / 2), "mounting"),
     "a narrower view": Case(
         lambda scans: each(scans, lambda s: replace(s, angles=s.angles * 2 / 3)), "view"
@@ -210,19 +234,23 @@ def test_the_map_tells_a_mirrored_image(shared: Path, tmp_path: Path, name: str)
     assert found == ["mirrored"]
 
 
-UNDISTURBED = [
-    "fr079/scans.npz", "fr079_half/scans.npz", "belgioioso/scans.npz", "duke_loop5/scans.npz",
-    "gh25/scans.npz", "malaga_campus/scans.npz", "factory_changed/scans.npz", "wean/scans.npz",
-    "raw/fr079.log", "raw/belgioioso.log", "raw/duke_loop5.dpslam.log", "olin_pen/left_side.bag",
-    "olin_pen/middle.bag", "olin_mac/bags/macfirst_floor_take_2",
-]  # fmt: skip
+UNDISTURBED = {
+    "fr079/scans.npz": [], "fr079_half/scans.npz": ["gap"], "belgioioso/scans.npz": [],
+    "duke_loop5/scans.npz": ["disagree"], "gh25/scans.npz": ["gap"],
+    "malaga_campus/scans.npz": ["gap"], "factory_changed/scans.npz": [], "wean/scans.npz": ["gap"],
+    "raw/fr079.log": [], "raw/belgioioso.log": [], "raw/duke_loop5.dpslam.log": ["disagree"],
+    "olin_pen/left_side.bag": [], "olin_pen/middle.bag": [],
+    "olin_mac/bags/macfirst_floor_take_2": [], "guardian_crob/guardian_3.npz": [],
+    "guardian_crob/guardian_controller_2.npz": [], "jarvis_inesc/circular.npz": [],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", UNDISTURBED)
-def test_nothing_is_found_in_a_log_as_it_was_recorded(shared: Path, name: str) -> None:
+def test_only_what_is_there_is_found_in_a_log_as_it_was_recorded(shared: Path, name: str) -> None:
     folder = shared / "data" / name.split("/")[0]
     maps = [folder / "map.yaml"] if name.endswith("scans.npz") else []
-    assert codes(call("inspect", *maps, shared / "data" / name, "--json")) == []
+    found = codes(call("inspect", *maps, shared / "data" / name, "--json"))
+    assert found == UNDISTURBED[name]
 
 
 @pytest.mark.parametrize(
@@ -252,3 +280,45 @@ def test_track_says_the_same_where_it_matters(shared: Path, tmp_path: Path) -> N
         run = call("track", place, file)
         assert run.code == 0
         assert ("with theta of the odometry negated" in run.err) == said
+
+
+TYPED = [
+    "--topic FLASER", "--fov-deg 180", "--range-scale 1.001", "--max-bad 0.02",
+    "--straighten forward", "--range-max 20", "--sensor 0.1,0,0.1", "--flipped",
+    "--resolution 0.05", "--origin 1,2,0", "--mode scale", "--semantics ros1",
+    "--occupied-thresh 0.6", "--free-thresh 0.2", "--negate", "--no-negate", "--allow-lossy",
+    "--cache {folder}", "--no-cache", "--memory-budget 2G", "--height=-1,1",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("typed", TYPED)
+def test_the_command_to_go_on_with_has_what_was_typed(
+    shared: Path, tmp_path: Path, typed: str
+) -> None:
+    place = shared / "data" / "fr079" / "map.yaml"
+    ranges = " ".join(f"{r:.3f}" for r in np.random.default_rng(1).uniform(2, 9, 180))
+    lines = [f"FLASER 180 {ranges} 0 0 0 0 0 0 {k}.5 host {k}.5" for k in (1, 2)]
+    file = tmp_path / "a.log"
+    file.write_text("\n".join(lines) + "\n")
+    words = typed.format(folder=tmp_path).split()
+    run = call("inspect", place, file, *words)
+    assert run.code == 0, run
+    commands = [s.split(None, 1)[1] for s in run.out.splitlines() if s.startswith("  next ")]
+    for command in commands:
+        done = call(*shlex.split(command)[1:])
+        assert done.code == 0, (command, done.err)
+    assert shlex.join(words).replace("=", " ") in commands[-1].replace("=", " ")
+    of_maps = (
+        words[0][2:].replace("-", "_").removeprefix("no_") in imgloc.options.Reading.__annotations__
+    )
+    assert (words[0] in commands[0]) == (of_maps or words[0] == "--memory-budget")
+
+
+def test_each_option_of_inspect_is_tried() -> None:
+    (text,) = [call("inspect", "--help").out]
+    own = {"--json", "--picture", "--force", "--verbose", "--debug", "--help"}
+    named = set(re.findall(r"--[a-z][a-z-]+", text.split("Options:")[1].split("Examples:")[0]))
+    there = {
+        word for word in named if re.search(rf"^ +(-\S, )?({word}|--\S+ / {word})\b", text, re.M)
+    }
+    assert there - own <= {re.split("[ =]", typed)[0] for typed in TYPED}

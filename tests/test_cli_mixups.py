@@ -228,14 +228,14 @@ def test_a_wrong_prior_is_named_with_the_place_that_it_leaves_out(
     pose = right[0]["pose"]
     at = f"x {pose['x']:.2f} m, y {pose['y']:.2f} m"
     assert f"the first at {at}" in hint_of(run)
-    assert hint_of(run).endswith(f"which {given[0]} leaves out: is it right?")
+    assert hint_of(run).endswith(f"lies outside {given[0]}: is it right?")
     one = call("localize", "curved", scans, OFF, *given, "--scans-index", 0)
-    assert hint_of(one).startswith(f"this scan fits this map at {at}")
+    assert hint_of(one).startswith(f"the best fit, at {at}")
 
 
 def test_priors_that_leave_the_place_out_are_named_together(scans: Path) -> None:
     run = call("localize", "curved", scans, OFF, "--near", "3,3,1,0.4,0.2", "--clearance", 0.2)
-    assert hint_of(run).endswith("which --near and --clearance leave out: are they right?")
+    assert hint_of(run).endswith("lies outside --near and --clearance: are they right?")
 
 
 def test_a_hint_about_few_readings_is_two_sentences(scans: Path) -> None:

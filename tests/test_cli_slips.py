@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 import pytest
-from command import MAPS, call, rows
+from command import MAPS, call, rows, spawn
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.choose import make_filter
@@ -256,6 +256,31 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
     assert "is ignored" not in call("localize", image, log, *same).err
     (tmp_path / MAP.name).unlink()
     assert "frame" not in call("localize", image, log, *same[:2], "--scans-index", 0).err
+
+
+@pytest.mark.parametrize("words", [
+    "localize {map} {log} --scans-index 0", "localize {map} {log} --scans-index 0 --json",
+    "track {map} {log}", "inspect {map} {log}", "map check {map}", "which {maps} {log}",
+    "map show {map} --out {out}.png", "sample {map} {log} -n 9 --out {out}.csv",
+    "simulate {map} -n 2 --out {out}.npz", "batch {map} {log} --out {out}",
+    "batch {maps} --job check --out {out}",
+    "map align {map} {yaml}", "map changes {map} {log}", "atlas {map} --step 9 --out {out}.png",
+    "evaluate {map} -n 1 --method ght-v",
+])  # fmt: skip
+def test_the_real_command_says_that_a_frame_is_another_one(
+    words: str, log: Path, tmp_path: Path
+) -> None:
+    # In a process of its own: what C libraries write is kept from its standard error.
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    yaml = copy_of_map(folder, origin="[-12.5, -8, 0]").rename(folder / "floor 2.yaml")
+    places = {"map": yaml.with_name("visibility.png"), "yaml": yaml, "log": log, "maps": folder,
+              "out": tmp_path / "out"}  # fmt: skip
+    run = spawn(*(w.format_map(places) for w in words.split()), "--resolution", "0.1")
+    said = "floor 2.yaml, which is of this image, is ignored: origin [-12.5, -8, 0] there"
+    several = "{maps}" in words  # of a folder the YAML is taken
+    assert run.code == 0, run
+    assert (said in run.out + run.err) == (not several), run
 
 
 def test_an_image_in_another_frame_is_said_in_python(tmp_path: Path, caplog, monkeypatch) -> None:

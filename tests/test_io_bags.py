@@ -1,5 +1,6 @@
 """Bags of ROS 1 and 2, written by rosbags; and what `ros2 topic echo` prints."""
 
+import logging
 import math
 from pathlib import Path
 
@@ -381,3 +382,19 @@ def test_a_map_in_a_bag_is_a_map(tmp_path: Path) -> None:
     run = call("localize", none, tmp_path / "a.npz", "--no-cache")
     assert run.code == 3
     assert "no map on /map: expected a map, then scans" in run.err
+
+
+def test_empty_scans_of_a_bag_are_left_out(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    m = messages_of(True)
+    empty = m.scan(0.0)
+    empty.ranges = np.array([], np.float32)
+    # Those of a motor that spins up come first: they do not tell how large the others are.
+    content = [("/scan", SCAN, empty)] * 2
+    content += [("/scan", SCAN, m.scan(i, ranges=np.ones(5000))) for i in range(1, 99)]
+    path = write(tmp_path / "a.bag", "bag", content)
+    assert scans_size(path).numbers == 2 * 100 * 5000
+    assert len(load_scans(path, max_bad=0.02)) == 98
+    assert "left out 2 of 100 scans, which are broken: /scan: message 0" in caplog.text
+    with pytest.raises(ScanError, match=r"2 of 100 are broken; `max_bad=0.02` leaves them out"):
+        load_scans(path)

@@ -1,5 +1,6 @@
 """Messages as ROS prints them, files whose names tell nothing, and those that others convert."""
 
+import logging
 import math
 from pathlib import Path
 
@@ -122,3 +123,30 @@ def test_csv_takes_two_bare_columns_and_a_field_of_view(tmp_path: Path) -> None:
         load_scans(path)
     scans = load_scans(path, fov=math.pi)
     np.testing.assert_allclose(scans[1].angles, [-math.pi / 2, 0, math.pi / 2])
+
+
+LOST = "A message was lost!!!\n\ttotal count change:2\n\ttotal count: 2---\n"
+
+
+@pytest.mark.parametrize("bad", [
+    ROS2.replace("- 1.0\n- .inf\n- .nan\n", "[]\n").replace("ranges:\n[]", "ranges: []"),
+    ROS2.replace("angle_increment: 1.0", "angle_increment: .nan"),
+    ROS2.replace("- .inf", "- '...'\n"), "header: [\n---\n", "data: 5\n---\n",
+])  # fmt: skip
+def test_a_broken_message_is_left_out(tmp_path: Path, caplog, monkeypatch, bad: str) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    path = tmp_path / "a.yaml"
+    path.write_text(ROS2 + LOST + 60 * ROS2 + "[INFO] [5.1]: spinning up\n" + bad + 60 * ROS2)
+    assert len(load_scans(path)) == 121
+    assert "lacks 2 message(s)" in caplog.text
+    assert "left out 1 of 122 messages, which are broken: message 61: " in caplog.text
+    with pytest.raises(ScanError, match=r"message 61: .*\(1 of 122 is broken; `max_bad=0.01`"):
+        load_scans(path, max_bad=0.0)
+
+
+def test_a_message_that_was_cut_off_is_left_out(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    path = tmp_path / "a.yaml"
+    path.write_text(2 * ROS2 + ROS2[: ROS2.index("- .inf")])
+    assert len(load_scans(path)) == 2
+    assert "the last message was cut off and is left out" in caplog.text

@@ -99,7 +99,7 @@ def test_a_message_names_file_key_value_and_expectation() -> None:
         parse(yaml_with("resolution", "resolution: 0,05"))
     assert str(caught.value) == (
         "folder/map.yaml: resolution: got '0,05', expected metres per cell, 0.001 to 10; "
-        "write a decimal point, not a comma"
+        "write a decimal point, not a comma; or pass `resolution`"
     )
 
 

@@ -78,7 +78,6 @@ def test_the_script_of_the_readme_runs(room, monkeypatch, capsys):
     exec(compile(script, "README.md", "exec"), names)
     assert names["answer"].verdict in capsys.readouterr().out
     assert (folder / "where.png").read_bytes().startswith(b"\x89PNG")
-    assert names["stack"].values.ndim == 3
     truth = scans.poses[0]
     assert np.hypot(names["answer"].pose.x - truth[0], names["answer"].pose.y - truth[1]) < 0.2
 
@@ -250,3 +249,57 @@ def test_the_file_of_the_command_runs_by_itself():
     )  # fmt: skip
     assert (run.returncode, run.stderr) == (0, "")
     assert run.stdout.startswith("imgloc ")
+
+
+def test_the_guide_to_own_parts_runs(capsys):
+    page = (ROOT / "tools" / "docs" / "extending.md").read_text("utf-8")
+    names: dict[str, object] = {}
+    for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(compile(block, "extending.md", "exec"), names)
+    near, own, *moments = capsys.readouterr().out.splitlines()
+    assert near.startswith("<Localization unique: x ")
+    assert own.startswith("<Localization ")
+    x, y, _ = names["scans"].poses[0]
+    answer = imgloc.localize(names["features"], names["scan"], names["options"],
+                             stack=names["ends_on_walls"])  # fmt: skip
+    assert np.hypot(answer.best.x - x, answer.best.y - y) < 0.5
+    assert [line.split()[0] for line in moments] == ["0", "1", "2", "3"]
+
+
+def test_what_is_printed_is_one_line(room, monkeypatch, tmp_path):
+    folder, scans = room
+    features = imgloc.prepare(imgloc.load_map(folder / "map.yaml"))
+    answer = imgloc.localize(features, scans[0])
+    reason, picture = imgloc.explain(features, scans[0], answer), imgloc.draw(features, answer)
+    for value in (answer, reason, picture, scans, scans[0], features.grid):
+        assert len(repr(value)) < 250
+        assert "\n" not in repr(value)
+    assert answer._repr_html_().count("<tr>") == 1 + len(answer.hypotheses)
+    assert reason._repr_html_().count("<tr>") == 1 + len(reason.fits)
+    for name, magic in (("a.png", b"\x89PNG"), ("a.jpg", b"\xff\xd8"), ("a.webp", b"RIFF")):
+        picture.save(tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(magic)
+    with pytest.raises(imgloc.ConfigError, match=r"expected a name in .png, .jpg or .webp"):
+        picture.save(tmp_path / "a.gif")
+
+
+def test_degrees_are_refused():
+    with pytest.raises(imgloc.ConfigError, match=r"theta: got 90, .*are these degrees"):
+        Pose2D(1, 2, 90)
+    with pytest.raises(imgloc.ConfigError, match=r"angles\[0\]: got -90, .*are these degrees"):
+        LaserScan(np.ones(181), np.arange(-90, 91.0))
+    assert Pose2D(0, 0, 4 * np.pi).theta == pytest.approx(0)
+    counted = imgloc.ScanSet((), odom=np.empty((0, 3)))
+    assert len(counted) == 0
+    scan = LaserScan(np.ones(9), np.linspace(-6, 6, 9))
+    wound = imgloc.ScanSet((scan,), odom=np.array([[1.0, 2.0, 100.0]]))
+    assert Pose2D(*wound.odom[0]).theta == pytest.approx(100 - 32 * np.pi)
+
+
+def test_a_prior_of_a_region_is_checked(room):
+    folder, _ = room
+    grid = imgloc.load_map(folder / "map.yaml")
+    with pytest.raises(imgloc.ConfigError, match="cells: got bool"):
+        imgloc.region(grid, np.ones((3, 3), bool))
+    with pytest.raises(imgloc.ConfigError):
+        imgloc.near(grid, 1.0, 2.0, 0.0, radius=-1.0)

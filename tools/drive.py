@@ -1,15 +1,18 @@
-"""A log of a drive through a bundled world, and the README's picture of its track.
+"""A log of a drive through a bundled world, its track, and the README's moving picture of it.
 
 The robot goes from place to place where there is most room, is carried off once, and goes on::
 
-    python -m tools.drive --out tools/track.png --log drive.npz
+    python -m tools.drive --out tools/track.png --log drive.npz --movie tools/drive.webp
 """
 
 import itertools
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
+import PIL.Image
 from skimage.graph import route_through_array
 
 from imgloc import Options, Picture, ScanSet, follow, make_filter, prepare, save_scans
@@ -17,7 +20,8 @@ from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import centre_of, transform_poses
 from imgloc.lab.sequences import piece
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
-from imgloc.output.tracks import draw_track
+from imgloc.output.canvas import Image
+from imgloc.output.tracks import Video, draw_track
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import parser_of
@@ -29,6 +33,7 @@ STOPS = (
     ((22.0, 5.0), (3.5, 5.0), (3.5, 3.5), (2.5, 1.6)),
 )
 """Two drives, in the grid frame, metres; between them the robot is carried."""
+_MS = 120  # milliseconds of a frame
 _ROOM = 1.0  # metres from a wall beyond which more room is no better
 
 
@@ -87,17 +92,38 @@ def draw_drive(log: ScanSet) -> Picture:
     return draw_track(features.grid, moments, log.poses)
 
 
+def frames_of(log: ScanSet) -> list[Image]:
+    """The frames of `imgloc track --video`, BGR, as the tracker follows the log."""
+    features, frames = prepare(render(WORLDS[WORLD](), 0.1)), list[Image]()
+    video = Video(features, title="lost, found, carried off, found again")
+    video.close()
+    writer: Any = SimpleNamespace(write=frames.append, release=lambda: None)
+    video._writer = writer
+    for moment in follow(features, log, make_filter("tracker", features, Options())):
+        video.add(moment, log[moment.index])
+    return frames
+
+
+def write_movie(path: Path, frames: list[Image]) -> None:
+    """Write frames as an animated WebP that begins anew."""
+    first, *more = (PIL.Image.fromarray(np.ascontiguousarray(f[..., ::-1])) for f in frames)
+    first.save(path, save_all=True, append_images=more, duration=_MS, loop=0, quality=60, method=6)
+
+
 def main() -> None:
     """Make the log, follow it, draw it."""
     parser = parser_of("tools.drive", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="PNG to write")
     parser.add_argument("--log", type=Path, help="NPZ to write: for imgloc track")
+    parser.add_argument("--movie", type=Path, help="WebP to write: each second scan")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     log = drive(given.seed)
     if given.log is not None:
         save_scans(given.log, log, force=True)
     draw_drive(log).save(given.out, force=True)
+    if given.movie is not None:
+        write_movie(given.movie, frames_of(log)[::2])
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from imgloc.model import (
     inverse,
 )
 from imgloc.numbers import number
-from imgloc.options import Drawn, Options, Prior, Shared
+from imgloc.options import Drawn, Options, Prior, Shared, Trust
 from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
@@ -41,6 +41,7 @@ _TRIED = number("diagnose.tried")  # doubtful scans that are looked at in anothe
 # resolution.
 _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, degrees
 _LONG = number("diagnose.long")
+_MOST = number("diagnose.most")  # of the readings
 UNITS = {"millimetres": 0.001, "centimetres": 0.01}  #: metres
 _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
 
@@ -107,8 +108,10 @@ class Given:
         >>> Given().advice("`flipped=True`"), Given(flipped=True).advice("`flipped=True`")
         ('Try `flipped=True`', 'Leave out `flipped=True`')
         """
-        leave = self.flipped and options == "`flipped=True`"
-        return f"{'Leave out' if leave else 'Try'} {options}"
+        flipped, *rest = options.split()
+        if not (self.flipped and flipped == "`flipped=True`"):
+            return f"Try {options}"
+        return f"Leave out {flipped}" + (f", and try {' '.join(rest)}" if rest else "")
 
 
 def is_doubtful(verdict: str, evidence: Evidence) -> bool:
@@ -166,13 +169,12 @@ def doubts(
     if found := trial.units():
         return [found]
     if 2 * counts["invalid"] > len(scans):
-        few = few_readings(trial.scans.scans)
-        few += "" if few.endswith("?") else "."
-        text = (
-            f"most scans have too few readings to be placed: {few} "
-            "Look at range_min and range_max of the file, and pass `range_max`"
-        )
-        return [Doubt("few", text, "too few readings: look at `range_max`")]
+        few, why = few_readings(trial.scans.scans), why_invalid(trial.scans.scans)
+        if few.endswith("?"):
+            why = "Look at range_min and range_max of the file"
+        which = "this scan has" if trial.one else "most scans have"
+        text = f"{which} too few readings to be placed: {few}{'' if few[-1] == '?' else '.'} {why}"
+        return [Doubt("few", text, f"too few readings: {why}")]
     if looks_swapped(features.grid):
         return [Doubt("swapped", SWAPPED, "black and white of the map look swapped: `negate=True`")]
     found = trial.prior() or trial.mirrored() or trial.scale()
@@ -223,11 +225,11 @@ class _Trial:
 
     def unique(
         self, change: Callable[[LaserScan], LaserScan] | None = None, prior: Prior | None = None,
-        shared: Shared | None = None,
+        shared: Shared | None = None, *, most: bool = False,
     ) -> list[Localization]:  # fmt: skip
         """Answers to a few scans that are changed, or with others of the options.
 
-        The list is empty unless all of these scans are unique.
+        The list is empty unless all of these scans, or `most` of them, are unique.
         """
         # Votes find a few places more where nothing fits, which takes longer than all the rest.
         quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
@@ -237,9 +239,9 @@ class _Trial:
         for k in self.tried:
             scan = self.scans[k] if change is None else change(self.scans[k])
             found.append(localize(self.features, scan, quick))
-            if found[-1].verdict != "unique":
+            if found[-1].verdict != "unique" and not most:
                 return []
-        return found
+        return found if 2 * sum(a.verdict == "unique" for a in found) > len(found) else []
 
     def calibration(self, *, is_bent: bool) -> Doubt | None:
         """The scans fit far better without what was calibrated for the map.
@@ -298,12 +300,12 @@ class _Trial:
         at = f"x {pose.x:.2f} m, y {pose.y:.2f} m, theta {math.degrees(pose.theta):.0f} degrees"
         where = f"at {at}" if self.one else f"at one place each, the first at {at}"
         leave, right = ("leaves", "is it") if len(names) == 1 else ("leave", "are they")
-        text = f"{self.fits} this map {where}, which {asked} {leave} out: {right} right?"
+        text = f"the best fit, {where}, lies outside {asked}: {right} right?"
         return Doubt("prior", text, f"fits where {asked} {leave} out")
 
     def mirrored(self) -> Doubt | None:
         """The scans fit if left and right are swapped."""
-        if not self.unique(lambda scan: scan.flipped):
+        if not self.unique(lambda scan: scan.flipped, most=True):
             return None
         why = "is the sensor upside down, or the map's image mirrored?"
         what = f"{self.fits} at one place if mirrored: {why}"
@@ -399,9 +401,8 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
         text = (
             "the walls of this map are drawn thick, as on maps that no laser made. imgloc took "
             f"them to be {less:.2f} m thinner on each side, and each piece of them to stand "
-            f"{off:.2f} m off. One scan hardly tells where the robot is on such a map, or whether "
-            "it is there. imgloc track finds it over some metres; a map of the robot's own scans "
-            "gives surer poses"
+            f"{off:.2f} m off. On such a map one scan is rarely enough. imgloc track finds the "
+            "robot over some metres; a map of the robot's own scans gives surer poses"
         )
         return [Doubt("thick", text, "thick walls: imgloc track")]
     if 2 * len(scales) > count:
@@ -493,6 +494,38 @@ def unit_of(middle: float) -> str:
     if middle <= _LONG[1]:
         return ""
     return "millimetres" if middle > _LONG[0] else "centimetres"
+
+
+def why_invalid(scans: Sequence[LaserScan]) -> str:
+    """Why scans have too few directions with a valid reading: a sentence for each cause.
+
+    Examples
+    --------
+    >>> why_invalid([LaserScan(np.ones(5), np.arange(5.0), range_max=9.0)])
+    'Each scan has 5 rays; it takes valid readings in 10 directions or more'
+    >>> why_invalid([LaserScan(np.ones(50), np.zeros(50), range_max=9.0)])
+    'All rays point in 1 direction(s): is angle_increment right?'
+    """
+    least = Trust().readings
+    rays, valid, directions = (
+        int(np.median([count(scan) for scan in scans]))
+        for count in (lambda s: len(s.ranges), lambda s: s.counts["valid"], lambda s: s.directions)
+    )
+    if rays < least:
+        return f"Each scan has {rays} rays; it takes valid readings in {least} directions or more"
+    if valid >= least:
+        return f"All rays point in {directions} direction(s): is angle_increment right?"
+    ranges = np.concatenate([scan.ranges for scan in scans])
+    low, high = np.median([(scan.range_min, scan.range_max) for scan in scans], axis=0)
+    causes = {
+        "Most readings are 0, which drivers write where the sensor sees nothing": ranges == 0,
+        "Most readings are NaN: the driver calls them invalid": np.isnan(ranges),
+        f"Most readings are nearer than range_min, {low:g} m: is it right?": ranges <= low,
+        f"Most rays met nothing within range_max, {high:g} m: is it right, and is the sensor free "
+        "to see?": ranges >= high,
+    }
+    few = f"It takes valid readings in {least} directions or more; a scan has {valid}"
+    return next((text for text, which in causes.items() if which.mean() > _MOST), few)
 
 
 def few_readings(scans: Sequence[LaserScan]) -> str:

@@ -14,6 +14,7 @@ already, tell why it is right, or wrong. The numbers behind the verdict are the 
 [('readings', 0.0, False)]
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -114,6 +115,20 @@ class Explanation(ByContent):
     options: Options
     fits: tuple[HypothesisFit, ...]  #: the hypotheses, best first
     layers: tuple[Layer, ...]
+
+    def __repr__(self) -> str:
+        rays = len(self.scan.ranges)
+        return f"<Explanation of {rays} rays at {len(self.fits)} poses: {self.answer!r}>"
+
+    def _repr_html_(self) -> str:
+        """A row for each pose and what its rays do there, for notebooks."""
+        head = "<tr><th>mass<th>x / m<th>y / m<th>theta / deg<th>nats a reading"
+        rows = "".join(
+            f"<tr><td>{fit.hypothesis.mass:.1%}<td>{fit.pose.x:.3f}<td>{fit.pose.y:.3f}"
+            f"<td>{math.degrees(fit.pose.theta):.2f}<td>{fit.per_reading:.2f}"
+            for fit in self.fits
+        )
+        return f"<p><b>{self.answer.verdict}</b></p><table>{head}{rows}</table>"
 
 
 def explain(

@@ -18,7 +18,15 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.diagnose import OLD, UNITS, Doubt, Given, doubts, few_readings, unit_of
-from imgloc.answers.scanmotion import AGREES, Agreement, Way, agreement, overlap, straightening
+from imgloc.answers.scanmotion import (
+    AGREES,
+    POOR,
+    Agreement,
+    Way,
+    agreement,
+    overlap,
+    straightening,
+)
 from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.equality import ByContent
 from imgloc.features.mapfeatures import MapFeatures
@@ -31,14 +39,14 @@ from imgloc.pipeline import localize, localize_many
 from imgloc.robot.recording import Recording
 
 _LOG = logging.getLogger("imgloc")
-_SPIKE, _BIN, _OFTEN = number("logcheck.code")
+_SPIKE, _BIN, _OFTEN, _WIDE, _VALUES = number("logcheck.code")
 _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
 _FAST = number("logcheck.fast")
-_REPEATED = number("logcheck.repeats")
+_REPEATED, _TWICE = number("logcheck.repeats")
 _LACKS = number("logcheck.lacks")
 _BODY = number("logcheck.body")
-_FEW = number("logcheck.few")
+_FEW, _CLOSE = number("logcheck.few")
 _STANDS = number("logcheck.stands")
 _BARS = number("logcheck.bars")
 _MANY = number("logcheck.many")
@@ -66,7 +74,7 @@ class Finding:
     @property
     def said(self) -> str:
         """The sentences, and which arguments to pass."""
-        if not self.options or self.options in self.text:
+        if all(option in self.text for option in self.options.split()):
             return self.text
         return f"{self.text}{' ' if self.text.endswith('?') else '. '}Pass {self.options}"
 
@@ -93,6 +101,16 @@ class LogReport(ByContent):
         return moves and not any(f.serious and not f.options for f in self.findings)
 
 
+def as_given(report: LogReport, given: Given) -> LogReport:
+    """The report of scans that were taken for those of a sensor upside down, if it is `given`."""
+    findings = list(report.findings)
+    for k, found in enumerate(findings):
+        if given.flipped and found.code == "flipped":
+            text = found.text.replace("hangs", "does not hang")
+            findings[k] = replace(found, text=f"{text}. {given.advice(found.options)}")
+    return replace(report, findings=tuple(findings))
+
+
 def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
     """Look at the scans, stamps and odometry of a log; no map is needed.
 
@@ -108,6 +126,9 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
     facts |= _about_readings(scans, findings)
     times = _about_stamps(scans)
     facts |= {"stamps": times}
+    if times and not times["seconds"]:
+        _add(findings, "stamps", "all stamps are the same: they are no times", fatal=False)
+        times = None
     if times and times["back"]:
         _add(findings, "order", _back_words(times["back"]), fatal=False)
     path = scans.odom if scans.odom is not None else scans.poses
@@ -300,28 +321,49 @@ def _about_readings(scans: ScanSet, findings: list[Finding]) -> dict[str, Any]:
         _add(findings, "units", text, f"`range_scale={UNITS[unit]:g}`")
         return facts
     if (code := _code(seen)) is not None:
+        low, top = code
+        which = f"exactly {top:g} m" if low == top else f"{low:g} to {top:g} m"
         text = (
-            f"{np.mean(seen == code):.1%} of the readings are exactly {code:g} m, and none is "
-            "longer: it is the sensor's code for a ray that met nothing"
+            f"{np.mean(seen >= low):.1%} of the readings are {which}, and none is longer: it is "
+            "the sensor's code for a ray that met nothing"
         )
-        _add(findings, "codes", text, f"`range_max={code:g}`")
+        _add(findings, "codes", text, f"`range_max={low:g}`")
     few = np.median([scan.directions for scan in some]) < Trust().readings
     if few or total["valid"] < _FEW * count:
-        _add(
-            findings, "few", f"few readings can be used: {few_readings(some)}; is range_max right?"
+        why = "is range_max right?"
+        if float(np.mean(raw == 0)) > _CLOSE:
+            why = "most are 0, which drivers write where the sensor sees nothing"
+        _add(findings, "few", f"few readings can be used: {few_readings(some)}; {why}")
+    elif total["too_close"] > _CLOSE * count:
+        zeros = float(np.mean(raw == 0))
+        what = (
+            f"{zeros:.0%} of the readings are 0"
+            if zeros > _CLOSE
+            else (f"{total['too_close'] / count:.0%} of the readings are closer than range_min")
         )
+        text = (
+            f"{what}: the driver writes that where the sensor sees nothing, or its view is blocked"
+        )
+        _add(findings, "too-close", text, fatal=False)
     _about_body(some, findings)
     return facts
 
 
-def _code(seen: FloatArray) -> float | None:
-    """The greatest reading, if it is exactly so far too often to be a distance."""
+def _code(seen: FloatArray) -> tuple[float, float] | None:
+    """The least and the greatest of the longest readings, if too many are so far to be distances.
+
+    They are one value, or a few values side by side with a gap below.
+    """
     if len(seen) < _BIN:
         return None
     top = float(seen.max())
-    often = int(np.count_nonzero(seen == top))
-    near = np.count_nonzero((seen < top) & (seen > 0.9 * top))
-    return top if often >= max(_OFTEN, _SPIKE * len(seen)) and often > near else None
+    for width in (0.0, _WIDE * top):
+        there = np.unique(seen[seen >= top - width])
+        often = int(np.count_nonzero(seen >= there[0]))
+        near = np.count_nonzero((seen < there[0]) & (seen > 0.9 * top))
+        if often >= max(_OFTEN, _SPIKE * len(seen), near + 1) and len(there) <= _VALUES:
+            return float(there[0]), top
+    return None
 
 
 def _about_body(some: Sequence[LaserScan], findings: list[Finding]) -> None:
@@ -442,12 +484,24 @@ def _about_motion(scans: ScanSet, path: FloatArray, findings: list[Finding]) -> 
         _add(findings, "two-lasers", text)
     elif found.best is not None:
         _add(findings, *_mended(found.best, scans))
+    elif found.share < POOR:
+        text = (
+            f"only {found.share:.0%} of the readings fall on an earlier scan, as the odometry "
+            f"has it ({AGREES:.0%} and more is usual): is it another robot's odometry, poor, or on "
+            "another clock, or is the place of the sensor wrong?"
+        )
+        _add(findings, "disagree", text, fatal=False)
     return None if math.isnan(found.share) else found.share
 
 
 def _mended(way: Way, scans: ScanSet) -> tuple[str, str, str]:
     """Code, sentence and options of what makes scans and odometry agree."""
     agree = "scans and odometry agree only"
+    if way.then is not None:
+        code, text, options = _mended(replace(way, then=None), scans)
+        _, more, others = _mended(way.then, scans)
+        more = more.removeprefix(agree).replace("with the sensor", "the sensor is").strip()
+        return code, f"{text}, and {more}", f"{options} {others}"
     if way.code == "flipped":
         text = f"{agree} with the scans mirrored: the sensor hangs upside down"
         return way.code, text, "`flipped=True`"
@@ -517,6 +571,10 @@ def _about_repeats(scans: ScanSet, path: FloatArray | None, findings: list[Findi
     if again.mean() >= _REPEATED:
         text = f"{again.mean():.0%} of the scans repeat the one before to the last digit"
         _add(findings, "repeats", f"{text}: the driver publishes old buffers", fatal=False)
+    twice = 1 - len(set(ranges)) / len(ranges) - float(again.mean())
+    if twice > _TWICE:
+        text = f"{twice:.0%} of the scans come a second time later: was a log joined to itself?"
+        _add(findings, "twice", text, fatal=False)
 
 
 def _about_lasers(scans: ScanSet, findings: list[Finding]) -> None:

@@ -9,19 +9,29 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import cv2
 import numpy as np
 
 from imgloc.features.scanpoints import evenly, scan_xy
 from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, Pose2D, compose, inverse
+from imgloc.model import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    LaserScan,
+    Pose2D,
+    compose,
+    inverse,
+    wrapped_pose,
+)
 from imgloc.numbers import number
 
 _FAR, _TURN = number("scanmotion.apart")
 _LOOKED, _PAIRS, _RAYS, _LEAST, _AHEAD = number("scanmotion.tried")
-_CELL = number("scanmotion.cell")
-AGREES, _WINS, _HALF = number("scanmotion.agrees")
+_CELL, _NOISE = number("scanmotion.cell")
+AGREES, POOR, _HALF, _TWO = number("scanmotion.agrees")
 _LAGS = number("scanmotion.lags")
 _ANGLES = number("scanmotion.angles")
 _SIDE = 4000  # cells of an image of a scan; readings so far off are errors
@@ -37,6 +47,13 @@ class Way:
     value: float = 0.0  #: factor, angle in radians or seconds, as the code needs it
     scan: Scan = lambda scan: scan
     odom: Odometry = lambda odom: odom  #: of poses (N, 3)
+    then: "Way | None" = None  #: what is wrong besides, and undone by `scan`, too
+
+    @property
+    def unit(self) -> float:
+        """Factor on all lengths."""
+        own = self.value if self.code == "units" else 1.0
+        return own * (self.then.unit if self.then else 1.0)
 
 
 @dataclass(frozen=True)
@@ -59,10 +76,11 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
         return Agreement(here)
     if _alternates(scans, odom):
         return Agreement(here, two_lasers=True)
-    best, most = None, max(_WINS, here / _HALF)
-    for way in _ways(scans, odom):
+    best, most = None, max(POOR, here / _HALF)
+    ways = _ways(scans, odom)
+    for way in [*ways, *_two(ways)]:
         share = _share(scans.scans.__getitem__, odom, pairs, way)
-        if share > most:
+        if share > most * (_TWO if way.then and best else 1):
             best, most = way, share
     return Agreement(here, best, most if best else math.nan)
 
@@ -71,7 +89,7 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
     """How well scans agree with poses (N, 3) of the robot, forward and backward straightened.
 
     The shares are those of :func:`agreement`, by the direction; None if no scan states how long it
-    took.
+    took, or the robot does not move enough.
     """
     if not any(scan.time_increment for scan in scans.scans) or len(scans) < _LEAST:
         return None
@@ -81,7 +99,8 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
         return scans[k].straightened(speeds[k], backward=way == "backward")
 
     ways = ("forward", "backward")
-    return {way: _share(partial(straight, way), odom, pairs, Way("")) for way in ways}
+    found = {way: _share(partial(straight, way), odom, pairs, Way("")) for way in ways}
+    return None if any(map(math.isnan, found.values())) else found
 
 
 def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
@@ -100,7 +119,7 @@ def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
         return float(np.nanmedian([0.0, *shares]))
 
     alike = max(median(2, starts[starts % 2 == odd]) for odd in (0, 1))
-    return bool(alike > max(_WINS, median(1, starts[::2]) / _HALF))
+    return bool(alike > max(POOR, median(1, starts[::2]) / _HALF))
 
 
 def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
@@ -125,6 +144,16 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
             shift = sign * late * unit
             ways.append(Way("lag", shift, odom=lambda o, t=times, s=shift: _shifted(o, t, s)))  # type: ignore[misc]
     return ways
+
+
+def _two(ways: Sequence[Way]) -> list[Way]:
+    """What may be wrong at once: a raw frame is clockwise and turned, in millimetres besides."""
+    some = [way for way in ways if way.code in ("units", "flipped", "mounting")]
+    return [
+        replace(a, scan=lambda s, a=a, b=b: b.scan(a.scan(s)), then=b)  # type: ignore[misc]
+        for a, b in combinations(some, 2)
+        if a.code != b.code
+    ]
 
 
 def _turned(scan: LaserScan, turn: float) -> LaserScan:
@@ -165,7 +194,7 @@ def _share(
     Turns tell of angles, and ways of lengths. `scan` gives the scan of an index.
     """
     moved = way.odom(odom)
-    steps = [compose(inverse(Pose2D(*odom[i])), Pose2D(*odom[j])) for i, j in pairs]
+    steps = [compose(inverse(wrapped_pose(*odom[i])), wrapped_pose(*odom[j])) for i, j in pairs]
     turned = sorted(range(len(pairs)), key=lambda k: -abs(steps[k].theta))
     gone = sorted(
         range(len(pairs)),
@@ -178,8 +207,8 @@ def _share(
         for k in order[:_PAIRS]:
             if k not in seen:
                 i, j = pairs[k]
-                step = compose(inverse(Pose2D(*moved[i])), Pose2D(*moved[j]))
-                seen[k] = overlap(way.scan(scan(i)), way.scan(scan(j)), step)
+                step = compose(inverse(wrapped_pose(*moved[i])), wrapped_pose(*moved[j]))
+                seen[k] = overlap(way.scan(scan(i)), way.scan(scan(j)), step, way.unit)
             if not math.isnan(seen[k]):
                 shares.append(seen[k])
         if 2 * len(shares) >= _PAIRS:
@@ -189,11 +218,12 @@ def _share(
     return min(medians, default=math.nan)
 
 
-def overlap(before: LaserScan, after: LaserScan, step: Pose2D) -> float:
+def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0) -> float:
     """Share of the valid readings of a scan that fall on those of one before, NaN if few are valid.
 
     The robot's motion `step` is in its own frame. Cells are as fine as the ranges are short, so
-    that no unit is better than another.
+    that no unit is better than another, but not finer than the noise; `unit` is the factor that
+    the ranges were multiplied by.
     """
     one, other = (scan_xy(scan)[scan.valid] for scan in (before, after))
     if min(len(one), len(other)) < _LEAST:
@@ -201,9 +231,10 @@ def overlap(before: LaserScan, after: LaserScan, step: Pose2D) -> float:
     mount = before.T_base_laser or Pose2D(0.0, 0.0)
     back = after.T_base_laser or Pose2D(0.0, 0.0)
     to = compose(compose(inverse(mount), step), back)
-    cell = _CELL * float(np.median(np.hypot(*one.T)))
-    if not cell > 0:
+    middle = float(np.median(np.hypot(*one.T)))
+    if not middle > 0:
         return math.nan
+    cell = max(_CELL * middle, _NOISE * unit)
     other = other[evenly(len(other), _RAYS)]
     c, s = math.cos(to.theta), math.sin(to.theta)
     moved = other @ np.array([[c, s], [-s, c]]) + (to.x, to.y)

@@ -27,8 +27,8 @@ WAYS: Mapping[str, Callable[[LaserScan], LaserScan]] = {
     "millimetres": lambda scan: scan.scaled(0.001),
 }
 NOT_TRUE = (
-    "the scans do not fit the map at their recorded poses, so imgloc does not take these for true "
-    "poses; they may be odometry, or in the frame of another map"
+    "the recorded poses do not match this map, so imgloc treats them as odometry; they may be in "
+    "the frame of another map"
 )
 
 

@@ -14,6 +14,7 @@ from imgloc.cli.batch import batch
 from imgloc.cli.cache import cache, clear
 from imgloc.cli.command import Command, command
 from imgloc.cli.console import Group, Subgroup, emit
+from imgloc.cli.convert import convert
 from imgloc.cli.demo import demo
 from imgloc.cli.export import export
 from imgloc.cli.inspect import inspect
@@ -70,6 +71,11 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc inspect run.log",
         "imgloc inspect office.yaml run.bag --picture run.png",
         "imgloc inspect office.yaml monday.log tuesday.log.gz --json",
+    ),
+    convert: (
+        "imgloc convert run.bag scans.npz",
+        "imgloc convert run.log scans.csv --range-scale 0.001",
+        "imgloc convert scans.csv run.mcap --scans-index ::10",
     ),
     localize: (
         "imgloc localize office.yaml scans.npz",

@@ -129,12 +129,12 @@ def batch(
     as_json: opt.AsJson = False,
     kept: Annotated[opt.Kept, Only("no_cache")],
 ) -> None:
-    """Do a command's work with every map and every file of scans: one row each.
+    """Run one job on every pair of map and scan file: one row each.
 
     DIR gets results.jsonl (a row for each item, whatever happens to it), summary.json, run.json and
     pictures. An item that fails, takes too long, or kills its worker costs itself alone; the exit
-    code is then 5. An interrupted run goes on with --resume. An option that is of other jobs alone
-    is refused. See also imgloc report, imgloc export.
+    code is then 5. An interrupted run goes on with --resume. Options of other jobs are
+    refused. See also imgloc report, imgloc export.
     """
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)

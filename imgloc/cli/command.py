@@ -4,7 +4,7 @@ A parameter is an option itself, annotated as the fields of :mod:`imgloc.options
 dataclass of such fields: each field with an :class:`~imgloc.ranges.Option` becomes an option, and
 the command gets the dataclass. ``Annotated[Options, Only("method", "top")]`` takes some fields,
 ``Annotated[Sensor, Without("mount")]`` all others. A parameter ``given: Given`` gets the names of
-the options that were typed. Every command has --verbose and --debug.
+the options that were typed, ``typed: Typed`` their words. Every command has --verbose and --debug.
 """
 
 import contextlib
@@ -45,7 +45,19 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "filters": ("--filter",),
     "index": ("--scans-index", "--maps-index"),
 }
+#: Options that come first in the help, as many as :data:`_FIRST` of them.
+USUAL = (
+    "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
+    "--sensor", "--flipped", "--range-max", "--resolution", "--force",
+)  # fmt: skip
+_FIRST, _FEW = 10, 16  # usual options; options of a command that needs no groups
+_PANELS = {
+    "Options": "Search", "Known": "Known of the pose", "Drawn": "Search", "Mounting": "Scans",
+    "Logs": "Scans", "Chosen": "Scans", "ScanFiles": "Scans", "MapImages": "Map image",
+    "Resources": "Machine", "Kept": "Machine", "Sensor": "Simulated laser", "Followed": "Filter",
+}  # fmt: skip
 Given = frozenset[str]  #: names of the options that were typed, as they are written
+Typed = dict[str, list[str]]  #: their words, name and values, as another command takes them
 
 
 class Only:
@@ -68,7 +80,28 @@ class Without(Only):
 
 
 class Command(TyperCommand):
-    """A command that tells the new name of an option by its old one."""
+    """A command that tells the new name of an option by its old one; its help has groups."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments, the usual options, and the others by what they are about."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        params = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
+        shown = [(param, record) for param, record in params if record is not None]
+        own = {name: record for param, record in shown for name in param.opts}
+        first = [own[name] for name in USUAL if name in own][:_FIRST]
+        for param, record in shown:
+            panel = getattr(param, "rich_help_panel", None)
+            if param.param_type_name == "argument":
+                groups["Arguments"].append(record)
+            elif record not in first:
+                title = "Options" if len(shown) <= _FEW else panel or "More options"
+                groups.setdefault(title, []).append(record)
+        groups["Options"] = first + groups["Options"]
+        more = groups.pop("More options", [])
+        for title, records in [*groups.items(), ("More options", more)]:
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
 
     def get_params(self, ctx: Any) -> Any:
         """The options, and that for help."""
@@ -79,10 +112,14 @@ class Command(TyperCommand):
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
-            there = RENAMED.get(old.removeprefix("--"), ())
-            new = next((name for name in there if name in own), None)
+            names = RENAMED.get(old.removeprefix("--"), ())
+            new = next((name for name in names if name in own), None)
             if new is not None and old not in own:
                 raise ConfigError(f"{old}: expected {new}, which is its name now")
+            if old.lstrip("-") in ("output", "o") and old not in own:
+                also = ", and --picture FILE draws them" if "--picture" in own else ""
+                where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
+                raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")
         return super().parse_args(ctx, args)
 
 
@@ -107,7 +144,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     parts, parameters, aside = list[_Part](), list[inspect.Parameter](), dict[str, Any]()
     for parameter in inspect.signature(function).parameters.values():
         hint = hints[parameter.name]
-        if hint in (Given, typer.Context):
+        if hint in (Given, Typed, typer.Context):
             aside[parameter.name] = hint
             continue
         part = _part(parameter, hint)
@@ -124,20 +161,30 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     def run(*, verbose: bool, debug: bool, **raw: Any) -> None:
         configure(verbose=verbose, debug=debug)
         values: dict[str, Any] = {name: raw[name] for name in context}
-        typed = set[str]()
+        typed = Typed()
         with _flags_for(flags):
             for part in parts:
                 texts = [(field, raw[_key(part, field)]) for field in part.fields]
                 there = [(field, text) for field, text in texts if text is not None and text != []]
-                typed |= {field.flag for field, _ in there}
+                typed |= {field.flag: _words_of(field, text) for field, text in there}
                 values[part.name] = part.make({f.name: value_of(f, text) for f, text in there})
             values |= {name: Given(typed) for name, hint in aside.items() if hint == Given}
+            values |= {name: typed for name, hint in aside.items() if hint == Typed}
             function(**values)
 
     signature = inspect.Signature([*parameters, *_SWITCHES])
     run.__signature__ = signature  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
     return run
+
+
+def _words_of(field: Declared, text: Any) -> list[str]:
+    """An option that was typed, in words; of an argument there are none."""
+    if isinstance(text, bool):
+        names = field.option.names if field.option else ()
+        return [field.flag if text else names[0].partition("/")[2]]
+    values = text if isinstance(text, list) else [text]
+    return [w for value in values for w in (field.flag, str(value)) if field.flag[:1] == "-"]
 
 
 def value_of(field: Declared, text: Any) -> Any:
@@ -222,6 +269,7 @@ def _parameter(part: _Part, field: Declared) -> inspect.Parameter:
         kind = list[str]
     names = [name for name in option.names if name.startswith("-")]
     about: dict[str, Any] = {"help": help_of(field), "show_default": False}
+    about["rich_help_panel"] = _PANELS.get(_kind_name(part))
     default = ... if field.default is MISSING else None
     if isinstance(field.limit, OneOf):
         about["autocompletion"] = _completion(field.limit.names)

@@ -8,6 +8,8 @@ import contextlib
 import errno
 import logging
 import os
+import re
+import shlex
 import shutil
 import sys
 import traceback
@@ -19,7 +21,7 @@ import typer
 from typer.core import TyperGroup
 
 from imgloc.cli.typed import as_typed
-from imgloc.errors import STDERR, ImglocError, OutputError, as_options, printable
+from imgloc.errors import STDERR, ConfigError, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
 NOT_UNIQUE = 6  # exit code under --strict
@@ -30,12 +32,49 @@ PIPE_CLOSED = 128 + 13  # and SIGPIPE
 _SESSION = SimpleNamespace(debug=False)  # switches of one run of the command line
 
 
+_SECTIONS = {
+    "First steps": ("demo", "inspect", "localize", "track", "open", "convert"),
+    "Robots and services": ("node", "serve"),
+    "Folders": ("batch", "report", "export", "which"),
+    "Maps": ("map", "atlas", "simulate", "sample", "cache"),
+    "Measure": ("evaluate", "calibrate"),
+}
+
+
 class Subgroup(TyperGroup):
     """Commands below one word."""
+
+    def format_commands(self, _: Any, formatter: Any) -> None:
+        """Write the commands in groups, each with its first sentence, whole."""
+        rest = [name for name in self.commands if name not in sum(_SECTIONS.values(), ())]
+        for title, names in [*_SECTIONS.items(), ("Commands", rest)]:
+            there = [(name, self.commands[name]) for name in names if name in self.commands]
+            if there:
+                with formatter.section(title):
+                    formatter.write_dl([(name, _sentence(one.help or "")) for name, one in there])
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command; a file, or a word of another group, is told what would do."""
+        word, below = args[0], getattr(self.commands.get("map"), "commands", {})
+        if word not in self.commands:
+            path = shlex.quote(word)
+            if word in below:
+                raise ConfigError(f"imgloc {word}: expected imgloc map {word}")
+            if re.search(r"[./]", word) and not word.startswith("-"):
+                wanted = "inspect" if below else f"{ctx.info_name} check"
+                raise ConfigError(
+                    f"{word}: expected a command before a file: imgloc {wanted} {path}"
+                )
+        return super().resolve_command(ctx, args)
 
     def get_params(self, ctx: Any) -> Any:
         """The options of the group itself, and that for help."""
         return as_typed(super().get_params(ctx))
+
+
+def _sentence(text: str) -> str:
+    """The first sentence of a text."""
+    return re.split(r"(?<=\.)\s", " ".join(text.split()) + " ")[0]
 
 
 class Group(Subgroup):

@@ -22,7 +22,7 @@ from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.folders import find_maps
 from imgloc.io.maps import YAML_ENDINGS
-from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.mapyaml import image_named
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import RADIUS, TOLERANCE, Chosen, Known, Logs, Mounting, Options, Shared
 from imgloc.runs import opening
@@ -76,7 +76,7 @@ def files_of(map_path: Path) -> list[Path]:
     files = [map_path]
     if map_path.suffix.lower() in YAML_ENDINGS:
         with contextlib.suppress(MapError):  # said when the map is loaded
-            files.append(load_map_yaml(map_path).image)
+            files.append(image_named(map_path))
     return files
 
 

@@ -5,16 +5,16 @@ import logging
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Typed
 from imgloc.cli.console import LOG, emit, listening
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display
-from imgloc.options import MAX_BAD, Logs, MemoryBudget, Mounting, Options
-from imgloc.ranges import option
+from imgloc.options import Logs, MemoryBudget, Mounting, Options
+from imgloc.ranges import declared, option
 
 if TYPE_CHECKING:
     from imgloc.answers.logcheck import Finding, LogReport
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from imgloc.runs.opening import Desk, MapFiles
 
 _LEAST = 10  # scans that are worth following
+_OWN = ("--json", "--picture", "--force")  # options that other commands have not, or mean another
 
 
 def inspect(
@@ -44,6 +45,7 @@ def inspect(
     kept: opt.Kept,
     memory_budget: MemoryBudget | None = None,
     force: opt.Force = False,
+    typed: Typed,
 ) -> None:
     """Look at a log or a map before it is used, and name what is wrong with it.
 
@@ -63,9 +65,9 @@ def inspect(
         raise ConfigError("--picture: is of logs; imgloc map show draws a map")
     how = inputs.map_files(reading)
     for path in maps:
-        _map(path, how, desk, as_json=as_json)
+        _map(path, how, desk, typed, as_json=as_json)
     the_map = maps[0] if len(maps) == 1 else None
-    look = _Look(desk, how, the_map, logs, mounting)
+    look = _Look(desk, how, the_map, logs, mounting, typed)
     for k, path in enumerate(found):
         look.at(path, as_json=as_json, picture=names.get(k), force=force)
 
@@ -75,13 +77,13 @@ def _is_map(path: Path) -> bool:
     from imgloc.errors import MapError
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
     from imgloc.io.maps import YAML_ENDINGS
-    from imgloc.io.mapyaml import load_map_yaml
+    from imgloc.io.mapyaml import image_named
     from imgloc.io.scans import SCAN_ENDINGS
 
     ending = path.suffix.lower()
     if ending in YAML_ENDINGS:
         with contextlib.suppress(MapError):
-            load_map_yaml(path)
+            image_named(path)
             return True
         return not _is_echo(path)
     if ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
@@ -96,14 +98,17 @@ def _is_echo(path: Path) -> bool:
     return False
 
 
-def _map(path: Path, how: "MapFiles", desk: "Desk", *, as_json: bool) -> None:
+def _map(path: Path, how: "MapFiles", desk: "Desk", typed: Typed, *, as_json: bool) -> None:
     from imgloc.cli import inputs
     from imgloc.model import to_json
     from imgloc.output.tables import report_text
     from imgloc.runs.check import Check
 
     (answer,) = Check(maps=how).open(inputs.item_of(path), desk)
-    command = f"imgloc map check {shlex.quote(str(path))}"
+    known = {field.flag for field in declared(opt.MapImages)} - {"--allow-lossy"}
+    known.add("--memory-budget")
+    words = _quoted({flag: words for flag, words in typed.items() if flag in known})
+    command = " ".join(["imgloc map check", shlex.quote(str(path)), *words])
     if as_json:
         emit(to_json(answer.row | {"next": command}))
     else:
@@ -115,13 +120,14 @@ class _Look:
 
     def __init__(
         self, desk: "Desk", how: "MapFiles", the_map: Path | None, logs: Logs, mounting: Mounting,
+        typed: Typed,
     ) -> None:  # fmt: skip
         self.desk, self.how, self.map, self.logs = desk, how, the_map, logs
-        self.mounting = mounting
+        self.mounting, self.typed = mounting, typed
 
     def at(self, path: Path, *, as_json: bool, picture: Path | None, force: bool) -> None:
         """Look at a log, print what is in it, draw it."""
-        from imgloc.answers.logcheck import check_log, on_map
+        from imgloc.answers.logcheck import as_given, check_log, on_map
         from imgloc.cli import inputs
         from imgloc.io.calibration import calibrated
         from imgloc.io.kinds import kinds_of
@@ -133,7 +139,7 @@ class _Look:
         with _heard(inputs.name_of(path)) as notes:
             how = inputs.as_recorded(logs, mounting=self.mounting)
             scans = self.desk.scans(path, how).scans
-        report = check_log(scans, [*notes, *more])
+        report = as_given(check_log(scans, [*notes, *more]), how.given)
         if self.map is not None:
             features = self.desk.features(self.map, self.how, Options(), scans=scans.scans)
             options = Options(memory_budget=self.desk.budget)
@@ -164,25 +170,25 @@ class _Look:
         return replace(self.logs, topic=first), [Finding("two-lasers", text, serious=False)]
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
-        """The command to go on with."""
+        """The command to go on with: it goes on from the options that were typed."""
         follow = report.can_be_followed and report.facts["scans"] >= _LEAST
         words = ["imgloc", "track" if follow else "localize"]
         words += ["MAP" if self.map is None else shlex.quote(str(self.map)), shlex.quote(str(path))]
         words += [] if follow else ["--scans-index", str(report.scan)]
-        words += [f"--topic {logs.topic}"] if logs.topic is not None else []
-        words += [f"--height {logs.height[0]:g},{logs.height[1]:g}"] if logs.height else []
-        words += [f"--odom {shlex.quote(logs.odom)}"] if logs.odom else []
-        words += [f"--max-bad {logs.max_bad:g}"] if logs.max_bad != MAX_BAD else []
-        mended = as_options(report.options)
-        given = f" {mended} "
-        if logs.scale != 1 and "--range-scale" not in given:
-            words.append(f"--range-scale {logs.scale:g}")
-        if logs.fov is not None:
-            words.append(f"--fov-deg {degrees(logs.fov):g}")
-        if logs.range_max is not None and "--range-max" not in given:
-            words.append(f"--range-max {logs.range_max:g}")
-        words += ["--flipped"] if self.mounting.flipped and "--flipped" not in given else []
-        return " ".join([*words, mended]).strip()
+        typed = {flag: one for flag, one in self.typed.items() if flag not in _OWN}
+        typed |= {"--topic": ["--topic", logs.topic]} if logs.topic is not None else {}
+        mended = dict[str, list[str]]()
+        for word in as_options(report.options).split():
+            mended.setdefault(word if word[:2] == "--" else list(mended)[-1], []).append(word)
+        if "--range-scale" in mended:
+            mended["--range-scale"][1] = f"{logs.scale * float(mended['--range-scale'][1]):g}"
+        if self.mounting.flipped and "--flipped" in mended:  # it is upright
+            del typed["--flipped"], mended["--flipped"]
+        return " ".join([*words, *_quoted(typed | mended)])
+
+
+def _quoted(typed: Typed) -> list[str]:
+    return [shlex.quote(word) for words in typed.values() for word in words]
 
 
 @contextlib.contextmanager

@@ -174,7 +174,7 @@ def track(
     """Follow a robot through a log of scans with odometry, from anywhere on the map.
 
     A line for each scan: unique (the pose is given), ambiguous (several places fit) or lost (no
-    place that is known does). No pose is given unless it is unique; the last one is never repeated.
+    known place fits). No pose is given unless it is unique; the last one is never repeated.
     A scan that says nothing gives none either, "ambiguous: blind": it has no readings, the lens is
     covered, or it is the last scan again. "ambiguous: wide": the standard deviation of the pose is
     above --max-sd. "ambiguous: unconfirmed": one place holds the mass, but too few scans agree yet.

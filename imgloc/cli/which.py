@@ -57,8 +57,8 @@ def which(
 
     A coarse look at all maps tells which of them the scan can fit; in these it is located.
     Evidence is the likelihood averaged over all poses of a map, so that a large map does not win
-    by having more places. It is from none if it fits badly, or, asked of three maps or more, if
-    the best fits hardly better than the third best does by chance. Of fewer than five maps, one is
+    by having more places. The answer is none if the scan fits badly. With three maps or more
+    it is also none if the best fits hardly better than the third. Of fewer than five maps, one is
     named only if the scan has a unique place in it. A scan with too few readings is invalid. A map
     that cannot be used is reported and left out; the exit code is then 5.
     """

@@ -1,4 +1,4 @@
-"""Lines of a file that are broken: left out, counted and named, or refused if they are many."""
+"""Lines or messages of a file that are broken: left out, counted and named, or too many."""
 
 import contextlib
 import logging
@@ -40,6 +40,34 @@ def warned() -> Iterator[list[str]]:
         _LOG.removeFilter(heard)
 
 
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Hold back what is logged in a block until its end, where standard error is none in it.
+
+    Examples
+    --------
+    >>> with warned() as texts, held():
+    ...     BadLines("a.jsonl").cut("a.jsonl: line 9")
+    ...     texts
+    []
+    >>> len(texts)
+    1
+    """
+    records = list[logging.LogRecord]()
+
+    def hold(record: logging.LogRecord) -> bool:
+        records.append(record)
+        return False
+
+    _LOG.filters.insert(0, hold)
+    try:
+        yield
+    finally:
+        _LOG.removeFilter(hold)
+        for record in records:
+            _LOG.handle(record)
+
+
 class BadLines:
     """Lines that a reader leaves out because they are broken.
 
@@ -49,6 +77,8 @@ class BadLines:
         Name of the file, for messages.
     most : float
         Share of the lines, 0 to 1, that may be broken.
+    what : str
+        What its parts are called.
 
     Examples
     --------
@@ -63,8 +93,8 @@ class BadLines:
 `max_bad=0.67` leaves them out)
     """
 
-    def __init__(self, name: str, most: float = MAX_BAD) -> None:
-        self.name, self.most, self.count = name, most, 0
+    def __init__(self, name: str, most: float = MAX_BAD, what: str = "lines") -> None:
+        self.name, self.most, self.what, self.count = name, most, what, 0
         self._first: list[ScanError] = []
 
     def skip(self, error: ScanError) -> None:
@@ -74,8 +104,8 @@ class BadLines:
             self._first.append(error)
 
     def cut(self, where: str) -> None:
-        """Note that the last line ends in the middle, and is left out."""
-        text = "the last line was cut off and is left out"
+        """Note that the last line, or message, ends in the middle, and is left out."""
+        text = f"the last {self.what.removesuffix('s')} was cut off and is left out"
         _LOG.warning("%s: %s", where, text, extra={"code": "cut"})
 
     def check(self, good: int) -> None:
@@ -97,7 +127,8 @@ class BadLines:
         texts = [re.sub(rf"^{re.escape(self.name)}: ", "", str(error)) for error in self._first]
         more = self.count - len(texts)
         _LOG.warning(
-            "%s: left out %d of %d lines, which are broken: %s%s",
-            self.name, self.count, total, "; ".join(texts), f"; and {more:,} more" if more else "",
+            "%s: left out %d of %d %s, which are broken: %s%s",
+            self.name, self.count, total, self.what, "; ".join(texts),
+            f"; and {more:,} more" if more else "",
             extra={"code": "broken"},
         )  # fmt: skip

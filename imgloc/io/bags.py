@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ImglocError, MapError, ScanError
+from imgloc.io.badlines import BadLines
 from imgloc.io.bagbounds import MAX_METADATA, bounded, largest_chunk, messages_of, metadata
 from imgloc.io.clouds import Height, check_height, check_seen, points_of, slice_of
 from imgloc.io.files import PathLike, display, is_folder, is_there, open_file, read_file, reason
@@ -28,6 +29,7 @@ from imgloc.io.messages import (
 )
 from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, check_size, collect
 from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.options import MAX_BAD
 from imgloc.robot.frames import Frames
 from imgloc.robot.odometry import Odometry
 from imgloc.robot.recording import SCANS, Picked, Recording, Source, mounted, pick_odometry
@@ -47,8 +49,9 @@ _HINTS = {
 
 
 def read_bag(
-    path: PathLike, *, topic: str | None = None, height: Height | None = None, odom: str = ""
-) -> ScanSet:
+    path: PathLike, *, topic: str | None = None, height: Height | None = None, odom: str = "",
+    max_bad: float = MAX_BAD,
+) -> ScanSet:  # fmt: skip
     """Read the scans of a topic of a bag, with the robot's odometry and the sensor's place.
 
     `odom` of the set is the robot's pose at the time of each scan, between two poses of the
@@ -70,10 +73,14 @@ def read_bag(
         Lowest and highest point of the slice of a cloud that is a scan, metres above the sensor.
     odom : str
         Topic or frame of the odometry; empty to pick the one of the robot that has the laser.
+    max_bad : float
+        Share of the messages, 0 to 1, that may be broken: they are left out, with a warning.
     """
-    name = display(path)
+    name, bad = display(path), BadLines(display(path), max_bad, "scans")
     if topic is not None and len(topics := lasers_of(topic)) > 1:
-        sets = {t: read_bag(path, topic=t, height=height, odom=odom) for t in topics}
+        sets = {
+            t: read_bag(path, topic=t, height=height, odom=odom, max_bad=max_bad) for t in topics
+        }
         return together(sets, name)
     with _opened(path, name) as bag:
         chosen = _choose(bag, topic, name)
@@ -96,9 +103,9 @@ def read_bag(
                 rays = len(entry["ranges"])
                 readings += rays
                 # Twice what bag_size() says, for lasers whose scans differ, and a scan.
-                most = most or 2 * count * max(readings, 1) + MAX_RAYS
+                most = most or (2 * count * readings + MAX_RAYS if readings else 0)
                 check_size(len(entries) + 1, rays, where)
-                if readings > most:
+                if readings > most > 0:
                     hint = f"expected {count:,} scans like the first; ros2 bag reindex"
                     raise ScanError(f"{where}: {readings:,} readings up to it, {hint}")
                 entries.append((where, {**entry, "laser": chosen}))
@@ -124,7 +131,7 @@ def read_bag(
         lasers, chosen, picked.source.words if picked.source else "", picked.why, picked.others,
         picked.robots, picked.truths, maps,
     )  # fmt: skip
-    return replace(_assemble(entries, picked, frames, laser, name), recording=about)
+    return replace(_assemble(entries, picked, frames, laser, bad), recording=about)
 
 
 def _odometry(moves: Sequence[tuple[float, ...]], name: str) -> Odometry:
@@ -164,8 +171,8 @@ def bag_size(
         for connection, _, data in messages_of(bag, connections):
             message = bag.deserialize(data, connection.msgtype)
             entry = _entry(message, connection.msgtype, 0.0, height, f"{name}: {chosen}")
-            readings = len(entry["ranges"])
-            break
+            if readings := len(entry["ranges"]):  # the first ones of a laser may be empty
+                break
         # Beside the scans: a chunk as it is packed, unpacked and cut, and the robot's poses.
         moves = sum(c.msgcount for c in bag.connections if c.msgtype in (_ODOMETRY, *_TF))
         beside = 3 * largest_chunk() + 300 * moves
@@ -299,9 +306,10 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _assemble(
-    entries: Sequence[Entry], picked: Picked, frames: Frames, laser: str, name: str
+    entries: Sequence[Entry], picked: Picked, frames: Frames, laser: str, bad: BadLines
 ) -> ScanSet:
     """The set of the scans, with the odometry at their times, on a sensor that sits so."""
+    name = bad.name
     stamps, source = np.array([entry["stamp"] for _, entry in entries]), picked.source
     odom = None if source is None else source.odometry.along(stamps)
     if odom is None and source is not None and len(source.odometry):
@@ -333,4 +341,4 @@ def _assemble(
         whole.append((where, {**entry, **more}))
     if entries and not whole:
         raise ScanError(f"{name}: tf never tells where {laser} is at the time of a scan")
-    return collect(whole, name)
+    return collect(whole, name, bad)

@@ -28,7 +28,7 @@ from imgloc.io.lasers import lasers_of, together
 from imgloc.io.scanset import Entry, ScanSet, collect, spread, wrong
 from imgloc.io.text import read_text
 from imgloc.io.textscans import check_lines
-from imgloc.model import MOUNTED, FloatArray, LaserScan, Pose2D, compose, inverse
+from imgloc.model import MOUNTED, FloatArray, LaserScan, Pose2D, compose, inverse, wrapped_pose
 from imgloc.options import MAX_BAD
 from imgloc.robot.odometry import Odometry
 
@@ -115,7 +115,7 @@ def read_carmen(
             if word == chosen:
                 messages.append(_message(words, where))
                 if chosen == "Laser" and moves:  # the pose of the line before
-                    messages[-1] = replace(messages[-1], robot=Pose2D(*moves[-1][1:]))
+                    messages[-1] = replace(messages[-1], robot=wrapped_pose(*moves[-1][1:]))
             elif word in _ODOMETRY:
                 moves.append(_move(words, where))
         except ScanError as error:
@@ -182,7 +182,7 @@ class CarmenLines:
         words = line.split()
         where = f"{where}: {words[0]}"
         if words[0] in _ODOMETRY:
-            self._odometry = Pose2D(*_move(words, where)[1:])
+            self._odometry = wrapped_pose(*_move(words, where)[1:])
         elif words[0] == "PARAM" and len(words) > 2:
             self._parameters[words[1]] = words[2]
         elif words[0] == self._word or (self._word is None and words[0] in _WHOLE):
@@ -297,7 +297,7 @@ def _flaser(words: Sequence[str], where: str) -> _Message:
     rest = words[2 + n :]
     if len(rest) < 6 or n < 1:
         raise ValueError
-    laser, robot = Pose2D(*map(float, rest[:3])), Pose2D(*map(float, rest[3:6]))
+    laser, robot = wrapped_pose(*map(float, rest[:3])), wrapped_pose(*map(float, rest[3:6]))
     stamp = math.nan
     with contextlib.suppress(ValueError, IndexError):  # a word that is no number is the host
         stamp = float(rest[6])
@@ -320,7 +320,7 @@ def _centimetres(words: Sequence[str], where: str) -> _Message:
     if not len(ranges):
         raise ValueError
     scale = (_CENTIMETRES, _CENTIMETRES, 1.0)
-    robot, laser = (Pose2D(*(values[k : k + 3] * scale).tolist()) for k in (0, 3))
+    robot, laser = (wrapped_pose(*(values[k : k + 3] * scale).tolist()) for k in (0, 3))
     return _Message(where, ranges, stamp, laser=laser, robot=robot)
 
 
@@ -347,7 +347,7 @@ def _configured(words: Sequence[str], where: str, after: int) -> tuple[_Message,
 def _robot_laser(words: Sequence[str], where: str) -> _Message:
     """``ROBOTLASER1 .. laser-pose robot-pose tv rv forward side turn time host time``."""
     message, rest = _configured(words, where, 14)
-    laser, robot = Pose2D(*map(float, rest[:3])), Pose2D(*map(float, rest[3:6]))
+    laser, robot = wrapped_pose(*map(float, rest[:3])), wrapped_pose(*map(float, rest[3:6]))
     return replace(message, laser=laser, robot=robot)
 
 

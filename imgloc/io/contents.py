@@ -11,7 +11,7 @@ from imgloc.errors import ImglocError, ScanError
 from imgloc.io.calibration import calibration_path
 from imgloc.io.files import open_regular
 from imgloc.io.maps import YAML_ENDINGS
-from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.mapyaml import image_named
 
 
 def files_of(path: Path) -> list[Path]:
@@ -26,7 +26,7 @@ def files_of(path: Path) -> list[Path]:
 
 @lru_cache(maxsize=4096)
 def _image_of(path: Path, _mtime: int, _size: int) -> Path:
-    return load_map_yaml(path).image
+    return image_named(path)
 
 
 def content_hash(paths: Sequence[Path]) -> str | None:

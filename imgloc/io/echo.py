@@ -1,37 +1,62 @@
 """LaserScan as `ros2 topic echo` and `rostopic echo` print it: YAML, a document a message."""
 
+import logging
 import re
 from typing import Any
 
 from imgloc.errors import ScanError
+from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
 from imgloc.io.plainyaml import plain_yaml
 from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, collect
 from imgloc.io.text import read_text
 from imgloc.io.textscans import plain_entry
+from imgloc.options import MAX_BAD
 
+_LOG = logging.getLogger("imgloc")
 _MOST = 4 * MAX_RAYS  # values of a message: ranges and intensities
 _MAP_KEYS = {"image", "resolution", "origin"}
+_ALL = "print all of them: ros2 topic echo -f"
+_LOST = re.compile(
+    r"^A message was lost!!!\s*total count change:\s*(\d+)\s*total count:\s*\d+(---)?\n?",
+    re.MULTILINE,
+)
+_SPOKEN = re.compile(r"^(\[(INFO|WARN|WARNING|ERROR)\]|WARNING:).*$", re.MULTILINE)  # by ROS
 
 
-def read_echo(path: PathLike) -> ScanSet:
+def read_echo(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
     """Read scans from what ``ros2 topic echo -f /scan`` prints, or ``rostopic echo``.
 
     The names are those of sensor_msgs/LaserScan, as in
-    :func:`~imgloc.io.textscans.read_jsonl`; ``---`` stands between messages. ScanError also for
+    :func:`~imgloc.io.textscans.read_jsonl`; ``---`` stands between messages. Broken messages are
+    left out, up to the share `max_bad`, as is a last one that was cut off. ScanError also for
     arrays that were printed shortened, for what is not plain YAML, and for a map's YAML.
     """
     name = display(path)
     text = read_text(path)
-    entries: list[Entry] = []
-    for document in re.split(r"^---.*$", text, flags=re.MULTILINE):
-        if document.strip():
-            where = f"{name}: message {len(entries)}"
-            if document.count(",") + document.count("\n") > _MOST:  # cheap to count
-                raise ScanError(f"{where}: too many values, expected at most {MAX_RAYS:,} readings")
+    if lost := sum(int(count) for count, _ in _LOST.findall(text)):
+        note = "%s: the recording lacks %d message(s), which ros2 topic echo lost"
+        _LOG.warning(note, name, lost, extra={"code": "lost"})
+    text = _SPOKEN.sub("", _LOST.sub("---\n", text))
+    entries, bad = list[Entry](), BadLines(name, max_bad, "messages")
+    documents = re.split(r"^---.*$", text, flags=re.MULTILINE)
+    there = [document for document in documents if document.strip()]
+    for k, document in enumerate(there):
+        where, last = f"{name}: message {k}", bool(entries) and document is documents[-1]
+        if document.count(",") + document.count("\n") > _MOST:  # cheap to count
+            raise ScanError(f"{where}: too many values, expected at most {MAX_RAYS:,} readings")
+        try:
             message = plain_yaml(document, where, ScanError, most=_MOST)
-            entries.append((where, plain_entry(_checked(message, where), where)))
-    return collect(entries, name)
+            entry = plain_entry(_checked(message, where), where)
+            if last and len(entry["ranges"]) < len(entries[-1][1]["ranges"]):
+                raise ScanError(f"{where}: cut off")
+            entries.append((where, entry))
+        except ScanError as error:
+            if last:
+                bad.cut(where)
+            else:
+                bad.skip(error)
+    return collect(entries, name, bad)
 
 
 def _checked(message: Any, where: str) -> dict[str, Any]:
@@ -44,8 +69,10 @@ def _checked(message: Any, where: str) -> dict[str, Any]:
         raise ScanError(f"{where}: {hint}")
     ranges = message["ranges"]
     if isinstance(ranges, list) and "..." in ranges[-1:]:
-        hint = "print all of them: ros2 topic echo -f"
-        raise ScanError(f"{where}: ranges: shortened after {len(ranges) - 1} readings; {hint}")
+        raise ScanError(f"{where}: ranges: shortened after {len(ranges) - 1} readings; {_ALL}")
+    if isinstance(ranges, str) and ranges.startswith("<"):  # by the option no-arr
+        hint = f"{_ALL}, without its option no-arr"
+        raise ScanError(f"{where}: ranges: left out, {ranges[:60]!r}; {hint}")
     for key in ("angle_min", "angle_max", "angle_increment"):
         if isinstance(message.get(key), str):  # 5e-2 has no point: a string to YAML 1.1
             try:

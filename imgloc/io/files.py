@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import secrets
 import stat
 from collections.abc import Iterator
@@ -96,6 +97,8 @@ def open_regular(
         more = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         fd = os.open(path, flags | more, 0o666)
     except FileNotFoundError:
+        if re.match(r"[a-z][a-z0-9+]+:/", str(path)):
+            raise error(f"{name}: is an address, expected a {what}: download it first") from None
         raise error(f"{name}: no such file{neighbour_hint(path)}") from None
     except IsADirectoryError:  # asked for writing
         raise error(f"{name}: is a folder, expected a {what} (a regular file)") from None

@@ -8,7 +8,7 @@ from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.files import PathLike, display, is_folder
 from imgloc.io.images import IMAGE_ENDINGS
 from imgloc.io.maps import YAML_ENDINGS
-from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.mapyaml import image_named
 
 
 def files_in(folder: PathLike, aside: PathLike | None = None) -> list[Path]:
@@ -58,7 +58,7 @@ def find_maps(
         drawn = set()
         for path in yamls:
             with contextlib.suppress(ImglocError):
-                drawn.add(os.path.realpath(load_map_yaml(path).image))
+                drawn.add(os.path.realpath(image_named(path)))
         found = sorted({*yamls, *(path for path in bare if os.path.realpath(path) not in drawn)})
     if not found:
         hint = f"; pass `resolution` to use its {len(bare)} images as maps" if bare else ""

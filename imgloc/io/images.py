@@ -23,7 +23,7 @@ import PIL.Image
 from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, TiffImagePlugin, WebPImagePlugin
 from PIL.ImageFile import ImageFile
 
-from imgloc.errors import MapError, OutputError
+from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.io.files import PathLike, display, open_file
 
 Pixels = npt.NDArray[Any]  # uint8 or uint16
@@ -174,10 +174,11 @@ def encode_png(image: npt.NDArray[np.generic]) -> bytes:
     return buffer.tobytes()
 
 
-def encode_picture(image: npt.NDArray[np.uint8]) -> bytes:
+def encode_picture(image: npt.NDArray[np.uint8], form: str = "png") -> bytes:
     r"""Encode a picture to look at, (H, W, 3) uint8 BGR, as PNG with 256 colours: a third as large.
 
-    With more colours than that some are off, by fewer grey levels than anybody sees.
+    With more colours than that some are off, by fewer grey levels than anybody sees. A `form` of
+    ``jpeg`` or ``webp`` keeps all; ConfigError for another one.
 
     Examples
     --------
@@ -188,6 +189,12 @@ def encode_picture(image: npt.NDArray[np.uint8]) -> bytes:
         raise ValueError(f"image {image.shape} {image.dtype} must be uint8 BGR")
     pixels = np.ascontiguousarray(image[..., ::-1])
     full = PIL.Image.fromarray(pixels)
+    if form != "png":
+        if form not in ("jpeg", "webp"):
+            raise ConfigError(f"a picture .{form}: expected a name in .png, .jpg or .webp")
+        buffer = io.BytesIO()
+        full.save(buffer, form.upper(), quality=90)
+        return buffer.getvalue()
     method = PIL.Image.Quantize.MAXCOVERAGE
     few = full.quantize(256, method, dither=PIL.Image.Dither.NONE)
     # The mean of what it stands for: greys stay grey, and large areas keep their colour.

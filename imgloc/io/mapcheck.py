@@ -26,6 +26,7 @@ from imgloc.io.maps import (
     load_bytes,
     looks_drawn,
     looks_swapped,
+    other_frame,
     resolve_settings,
     unknown_as_free,
 )
@@ -36,6 +37,7 @@ _MANY_GREYS, _HUGE_CELLS = 16, 16_000_000
 _MOST = 10  # greys, and parts, that are listed
 _CHECKED = 10  # bytes per pixel, more than loading takes
 _WARNINGS = {
+    "frame": "{frame}",
     "unknown-key": "{keys}: not a key of map_server, ignored (a slip?)",
     "default-threshold": "the YAML lacks a threshold; occupied_thresh {occupied_thresh} and "
     "free_thresh {free_thresh} are used",
@@ -196,10 +198,11 @@ def _warnings(
         colours = image.pixels[:, :, :3]
         tinted = int(np.count_nonzero(colours.max(axis=2) != colours.min(axis=2)))
     # Where much grey 205 is read as free, that is why nothing is unknown.
-    swapped, few = looks_swapped(grid), 200 * trap < sums.size
-    known = n["free"] and n["occupied"] and few and not swapped and lacks_unknown(grid)
+    swapped = looks_swapped(grid)
+    known = n["free"] and n["occupied"] and not (trap or swapped) and lacks_unknown(grid)
     drawn = known and looks_drawn(grid)
     found = {
+        "frame": (frame := other_frame(used)),
         "unknown-key": unknown_keys,
         "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
         "yaw": used.origin.theta,
@@ -221,7 +224,8 @@ def _warnings(
     }
     values = {
         **vars(used), **n, "height": height, "width": width,
-        "keys": ", ".join(unknown_keys), "clear": clear, "tinted": tinted, "trap": trap,
+        "frame": frame, "keys": ", ".join(unknown_keys),
+        "clear": clear, "tinted": tinted, "trap": trap,
         "cells": sums.size, "millions": sums.size / 1e6,
         "lossy": {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF"),
         "share": n["occupied"] / sums.size, "free_area": area,

@@ -16,6 +16,8 @@ import contextlib
 import logging
 import math
 import os
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -50,6 +52,18 @@ _POSE = "[x, y, yaw] in metres and radians"
 _NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
+_BESIDE = 64  # YAMLs in the folder of an image that are looked at
+
+_OTHERS = {
+    ".pbstream": "a state of Cartographer; cartographer_pbstream_to_ros_map makes a map of it",
+    ".posegraph": "a pose graph of slam_toolbox; its service save_map, or map_saver_cli, saves the "
+    "map",
+    ".db": "a database, as of RTAB-Map; map_saver_cli saves the map while RTAB-Map runs",
+    ".bt": "an octree; octomap_server publishes a map of it, and map_saver_cli saves that",
+    ".dwg": "a drawing; save it as DXF, and imgloc map plan makes a map of it",
+    **dict.fromkeys((".pdf", ".svg", ".dxf"), "a drawing; imgloc map plan makes a map of it"),
+}
+"""What files are that people take for maps, and what makes maps of them."""
 
 # Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
 # or free; per byte of the file, whose samples may be written as text; and for tables of greys.
@@ -109,12 +123,12 @@ def load_map(
         A file is missing, damaged, too large or contradicts itself; an argument is out of range.
     """
     settings = resolve_settings(named_map(path), **reading)
-    if settings.yaml is None:
-        _warn_of_other_frame(settings)
+    if said := other_frame(settings):
+        _LOG.warning("%s: %s", display(settings.image), said)
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     grid = grid_of(image, settings)
-    if _MUCH * (trap := unknown_as_free(image, settings, grid)) > grid.free.size:
+    if trap := unknown_as_free(image, settings, grid):
         said = GREY_205.format(trap=trap, free_thresh=settings.free_thresh)
         _LOG.warning("%s: %s", display(path), said)
     return grid
@@ -147,7 +161,7 @@ def map_of_bytes(
     _check_options(given)
     file = Path(name)
     if yaml is not None:
-        written = parse_map_yaml(yaml, file)
+        written = parse_map_yaml(yaml, file, given)
     elif "resolution" in given:
         written = MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     else:
@@ -158,26 +172,42 @@ def map_of_bytes(
     return grid_of(decode_image(image, name, max_pixels=most, allow_lossy=allow_lossy), settings)
 
 
-def _warn_of_other_frame(settings: MapSettings) -> None:
-    """Say of a bare image that a YAML beside it, which is not read, puts it elsewhere."""
-    for beside in map(settings.image.with_suffix, YAML_ENDINGS):
-        with contextlib.suppress(MapError, OSError):
-            said = load_map_yaml(beside)
-            if not said.image.samefile(settings.image):
-                continue
-            theirs = resolve_settings(beside)
+OTHER_FRAME = (
+    "{yaml}, which is of this image, is ignored: {differs}; poses are in another frame; give "
+    "{yaml} instead, or the same values"
+)
+
+
+def yamls_of(image: Path) -> Iterator[MapYaml]:
+    """The map YAMLs in the folder of an image that name it, that of the same name first."""
+    with contextlib.suppress(OSError):
+        beside = [p for p in image.parent.iterdir() if p.suffix.lower() in YAML_ENDINGS]
+        for path in sorted(beside, key=lambda p: (p.stem != image.stem, p.name))[:_BESIDE]:
+            with contextlib.suppress(MapError, OSError):
+                if (said := load_map_yaml(path)).image.samefile(image):
+                    yield said
+
+
+def other_frame(settings: MapSettings) -> str:
+    """Say of a bare image that a YAML beside it, which is not read, puts it elsewhere; or nothing.
+
+    Nothing is said either if one of several puts it where it is taken to be.
+    """
+    texts = list[str]()
+    for said in yamls_of(settings.image) if settings.yaml is None else ():
+        with contextlib.suppress(MapError):
+            theirs = _settings(said, {}, "", bare=False)
             found = [
                 f"{key} {values[0]} there, {values[1]} here"
                 for key in ("origin", "resolution")
                 if (values := [_plainly(getattr(s, key)) for s in (theirs, settings)])[0]
                 != values[1]
             ]
-            if found:
-                _LOG.warning(
-                    "%s: %s, which is of this image, is ignored: %s; poses are in another frame; "
-                    "give %s instead, or the same values", display(settings.image),
-                    display(beside.name), ", ".join(found), display(beside.name),
-                )  # fmt: skip
+            if not found:
+                return ""
+            name = display(said.path.name)
+            texts.append(OTHER_FRAME.format(yaml=name, differs=", ".join(found)))
+    return texts[0] if texts else ""
 
 
 def _plainly(value: object) -> str:
@@ -190,11 +220,11 @@ GREY_205 = (
     "{trap:,} cells of grey 205, map_saver's unknown, count as free because free_thresh is "
     "{free_thresh:g}; 0.196 keeps them unknown"
 )
-_MUCH = 200  # one cell in so many
+_MUCH, _PEAK = 200, 10  # one cell in so many; so many times as often as the greys beside it
 
 
 def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid) -> int:
-    """How many cells of the grey that map_saver writes for unknown are read as free.
+    """How many cells of the grey that map_saver writes for unknown are read as free, if many are.
 
     Grey 205 is an occupancy of 0.196, just above map_saver's own free_thresh.
     """
@@ -203,8 +233,11 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
     upright = image.pixels[::-1]  # row 0 at the bottom as in the grid; alpha aside
     sums, channels = channel_sum(upright[:, :, :3] if image.channels > 1 else upright)
     full = image.white * channels
-    is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
-    return int(np.count_nonzero(is_205[sums] & grid.free))
+    greys = np.round(np.arange(full + 1) * (255 / full))
+    found, *beside = (np.count_nonzero((greys == grey)[sums]) for grey in (205, 204, 206))
+    if _MUCH * found <= sums.size or found <= _PEAK * max(beside):
+        return 0  # a few cells, or one grey among many of a map of probabilities
+    return int(np.count_nonzero((greys == 205)[sums] & grid.free))
 
 
 SWAPPED = (
@@ -352,20 +385,26 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
     given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
     _check_options(given)
     name, file = display(path), Path(path)
-    said = load_map_yaml(path) if file.suffix.lower() in YAML_ENDINGS else None
+    said = load_map_yaml(path, given) if file.suffix.lower() in YAML_ENDINGS else None
     if said is None:
         os.close(open_regular(path, MapError, "map YAML or image"))
+        if hint := _OTHERS.get(file.suffix.lower()):
+            raise MapError(f"{name}: is no map: {hint}")
         if "resolution" not in given:
             hint = ", expected metres per cell; pass `resolution`, or the map's YAML"
-            for beside in map(file.with_suffix, reversed(YAML_ENDINGS)):
-                if is_file(beside):
-                    hint = f"; give {display(beside)} instead of the image, or pass `resolution`"
+            for beside in yamls_of(file):
+                hint = f"; give {display(beside.path)} instead of the image, or pass `resolution`"
+                break
             raise MapError(f"{name}: resolution: missing{hint}")
     else:
         try:
             os.close(open_regular(said.image, MapError, "map image"))
         except MapError as e:
-            raise MapError(f"{e}; {name} names it as its image") from None
+            there = re.split(r"[/\\]", str(said.image))[-1]
+            hint = ""
+            if is_file(file.parent / there):
+                hint = f"; {display(there)} lies beside the YAML: write 'image: {display(there)}'"
+            raise MapError(f"{e}; {name} names it as its image{hint}") from None
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     return _settings(written, given, name, bare=said is None)
 
@@ -380,7 +419,8 @@ def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool)
     if not 0 <= low < high <= 1:
         found = f"{name}: free_thresh {low} and occupied_thresh {high}"
         error = ConfigError if given.keys() & _THRESHOLDS.keys() else MapError
-        raise error(f"{found}, expected 0 <= free_thresh < occupied_thresh <= 1")
+        expected = "expected 0 <= free_thresh < occupied_thresh <= 1"
+        raise error(f"{found}, {expected}; or pass `free_thresh` and `occupied_thresh`")
     return MapSettings(
         image=written.image,
         resolution=float(used["resolution"]),

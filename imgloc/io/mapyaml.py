@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,14 +76,21 @@ class MapYaml:
     unknown_keys: tuple[str, ...] = ()  #: mean nothing here; often a slip of the pen
 
 
-def load_map_yaml(path: PathLike) -> MapYaml:
+def load_map_yaml(path: PathLike, given: Container[str] = ()) -> MapYaml:
     """Read a map's YAML, of at most 64 KB; in all else as :func:`parse_map_yaml`."""
     data = read_file(path, limit=MAX_YAML_BYTES, error=MapError, what="map YAML")
-    return parse_map_yaml(data, Path(path))
+    return parse_map_yaml(data, Path(path), given)
 
 
-def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
+def image_named(path: PathLike) -> Path:
+    """The image that a map's YAML names; nothing else of the YAML is judged."""
+    return load_map_yaml(path, _KEYS - {"image"}).image
+
+
+def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYaml:
     r"""Parse the text of a map's YAML; `path` names it and anchors the image's path.
+
+    Keys that are `given` elsewhere are not read: their values may be whatever they are.
 
     MapError names the file, the key, the value, and what was expected; or what is not plain, see
     :func:`~imgloc.io.plainyaml.plain_yaml`.
@@ -99,6 +106,8 @@ def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
     values = _plain_mapping(data, name)
     said: dict[str, Any] = {key: values.get(key) for key in _KEYS}
     for key, convert, expected in _CHECKS:
+        if key in given:
+            said[key] = None
         if said[key] is None and key != "image":
             continue
         said[key] = convert(said[key])
@@ -108,6 +117,7 @@ def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
             shown = repr(values[key])
             shown = shown if len(shown) <= 60 else shown[:57] + "..."
             hint = "; write a decimal point, not a comma" if _COMMA.search(shown) else ""
+            hint += f"; or pass `{key}`" if key != "image" else ""
             raise MapError(f"{name}: {key}: got {shown}, expected {expected}{hint}")
     unknown = tuple(str(key) for key in values if key not in _KEYS)
     return MapYaml(path, path.parent / said.pop("image"), unknown_keys=unknown, **said)

@@ -13,6 +13,7 @@ An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB
 import contextlib
 import io
 import math
+import os
 import re
 import tokenize
 import zipfile
@@ -27,13 +28,16 @@ from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.io.bags import bag_size, read_bag
 from imgloc.io.carmen import read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
+from imgloc.io.csvscans import read_csv
 from imgloc.io.echo import read_echo
 from imgloc.io.files import (
     PathLike,
     display,
+    is_file,
     is_folder,
     is_there,
     open_file,
+    open_regular,
     read_file,
     reason,
     write_bytes_atomic,
@@ -46,10 +50,11 @@ from imgloc.io.scanset import (
     check_size,
     numbers,
     scan_set,
+    stated,
     wrong,
 )
 from imgloc.io.text import open_text, unmarked
-from imgloc.io.textscans import read_csv, read_jsonl, text_size
+from imgloc.io.textscans import read_jsonl, text_size
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD, Logs
 
@@ -64,6 +69,7 @@ def load_scans(
     max_bad: float = MAX_BAD,
     height: Height | None = None,
     odom: str | None = None,
+    range_max: float | None = None,
 ) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
@@ -72,7 +78,7 @@ def load_scans(
     Parameters
     ----------
     path : path
-        ``.npz`` (:func:`read_npz`), ``.csv`` (:func:`~imgloc.io.textscans.read_csv`), ``.jsonl``,
+        ``.npz`` (:func:`read_npz`), ``.csv`` (:func:`~imgloc.io.csvscans.read_csv`), ``.jsonl``,
         ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`), ``.log``, ``.clf`` or
         ``.carmen`` (:func:`~imgloc.io.carmen.read_carmen`), ``.yaml`` or ``.yml``
         (:func:`~imgloc.io.echo.read_echo`), ``.bag``, ``.db3``, ``.mcap`` or the folder of a ROS 2
@@ -84,10 +90,11 @@ def load_scans(
         Which laser of a log with several. ScanError if the file is no log, see
         :func:`has_topics`.
     fov : float, optional
-        Angle from the first to the last ray, radians, for a CSV or a log that does not state it.
+        Angle from the first to the last ray, radians, for a CSV or a log that does not state it,
+        or whose angles contradict each other.
     max_bad : float
-        Share of the lines of a CSV, a log or JSON lines, 0 to 1, that may be broken: they are left
-        out, with a warning that names them. ScanError if there are more.
+        Share of the lines of a text, or of the messages of a bag, 0 to 1, that may be broken: they
+        are left out, with a warning that names them. ScanError if there are more.
     height : (float, float), optional
         Lowest and highest point, metres above the sensor, of the slice of a cloud of points that
         is a scan. Clouds are sensor_msgs/PointCloud2 of a bag, where there is no LaserScan or
@@ -95,9 +102,12 @@ def load_scans(
     odom : str, optional
         Topic or frame of the odometry of a bag, see :func:`~imgloc.io.bags.read_bag`; ``scans``
         for none, because the scans are to tell the motion.
+    range_max : float, optional
+        Reach of the sensor, in the unit of the file, where that of the file cannot be: 0, or NaN.
     """
-    how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom)
-    return _kind(path, topic).read(path, how)
+    how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
+    with stated(how):
+        return _kind(path, topic).read(path, how)
 
 
 def scans_size(
@@ -176,18 +186,23 @@ class _Kind(NamedTuple):
 _NPZ = _Kind(lambda path, _: read_npz(path), lambda path, _: _npz_size(path))
 _CSV = _Kind(
     lambda path, how: read_csv(path, fov=how.fov, max_bad=how.max_bad),
-    lambda path, _: text_size(path),
+    lambda path, _: text_size(path, between=b",;\t "),
 )
 _JSON = _Kind(
     lambda path, how: read_jsonl(path, max_bad=how.max_bad), lambda path, _: text_size(path)
 )
-_ECHO = _Kind(lambda path, _: read_echo(path), lambda path, _: text_size(path, between=b"\n"))
+_ECHO = _Kind(
+    lambda path, how: read_echo(path, max_bad=how.max_bad),
+    lambda path, _: text_size(path, between=b"\n"),
+)
 _CARMEN = _Kind(
     lambda path, how: read_carmen(path, topic=how.topic, fov=how.fov, max_bad=how.max_bad),
     lambda path, _: text_size(path, between=b" "),
 )
 _BAG = _Kind(
-    lambda path, how: read_bag(path, topic=how.topic, height=how.height, odom=how.odom or ""),
+    lambda path, how: read_bag(
+        path, topic=how.topic, height=how.height, odom=how.odom or "", max_bad=how.max_bad
+    ),
     lambda path, how: bag_size(path, topic=how.topic, height=how.height),
 )
 _PCD = _Kind(lambda path, how: read_pcd(path, height=how.height), lambda path, _: pcd_size(path))
@@ -211,6 +226,13 @@ _MAGIC = (
     (rb"(?:\s*#[^\n]*\n)*\s*[-+.\w]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
+_SPOKEN = (
+    (rb"## Player version", "a log of Player; of its laser lines every other number is a range: "
+     "write these as CSV"),
+    (rb"(header|time|scan|frame) *:? *\{\s",
+     "what gz topic prints; ros_gz_bridge makes a LaserScan of it, or gz topic prints JSON"),
+)  # fmt: skip
+"""Texts that are no log of scans by how they begin, and what makes one of them."""
 _CONVERTED = {
     ".npy": "an array without angles: np.savez('scans.npz', ranges=..., angles=..., range_max=...)",
     ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
@@ -255,6 +277,13 @@ def _kind_of(path: PathLike) -> _Kind:
         )
     if ending in _KINDS:
         kind = _KINDS[ending]
+        if ending == ".bag" and is_there(file) and not lower.endswith(".gz"):
+            with os.fdopen(open_regular(path, ScanError, "bag"), "rb") as opened:
+                if re.match(rb"#ROSBAG V1|#ROSRECORD", opened.read(_HEAD)):
+                    hint = "rosbag fix old.bag new.bag of ROS 1 makes one of version 2.0"
+                    raise ScanError(f"{name}: is a bag of a version before 2.0; {hint}")
+        if kind in (_CARMEN, _CSV) and is_file(file):
+            _refuse_spoken(path)
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
         return kind
@@ -264,12 +293,22 @@ def _kind_of(path: PathLike) -> _Kind:
     with open_text(path) as (opened, _):
         head = opened.read(_HEAD)
     head = unmarked(head)
+    _refuse_spoken(path)
     if ending in ("", ".txt", ".dat", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):
                 return kind
     found = f"ending {display(ending)!r} is no scan format" if ending else "no known scan format"
     raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)}")
+
+
+def _refuse_spoken(path: PathLike) -> None:
+    """ScanError for a text of a program whose scans are not read, with what would do."""
+    with open_text(path) as (opened, _):
+        head = opened.read(_HEAD)
+    for pattern, hint in _SPOKEN:
+        if re.match(pattern, head, re.MULTILINE | re.DOTALL):
+            raise ScanError(f"{display(path)}: cannot be read: {hint}")
 
 
 def _npz_size(path: PathLike) -> ScansSize:

@@ -1,8 +1,10 @@
 """A set of scans, and the checks that every scan format shares; all raise ScanError."""
 
+import contextlib
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +13,8 @@ import numpy as np
 from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
-from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
+from imgloc.model import LONGEST_SWEEP, MOST_TURNED, FloatArray, LaserScan, Pose2D, wrapped_pose
+from imgloc.options import Logs
 from imgloc.robot.odometry import velocities_at
 from imgloc.robot.recording import Recording
 
@@ -31,7 +34,6 @@ _OFTEN, _LEAST, _OTHERS = 0.05, 10, 10
 _MAX_TURN = 30.0  # radians of a heading that was counted on: nearly five turns, or 30 degrees
 # Where a scan stands in the file, for messages, and its fields (named as in LaserScan).
 Entry = tuple[str, Mapping[str, Any]]
-_MAX_ANGLE = 4 * np.pi  # twice around: whatever lies beyond was not meant in radians
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,9 @@ class ScanSet(ByContent):
                 array = np.array(getattr(self, key), dtype=np.float64)
                 if array.shape != shape:
                     raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
+                if len(shape) == 2:  # a heading may have been counted on
+                    far = np.abs(array[:, 2]) > MOST_TURNED
+                    array[far, 2] = np.remainder(array[far, 2] + np.pi, math.tau) - np.pi
                 array.flags.writeable = False
                 object.__setattr__(self, key, array)
 
@@ -173,8 +178,42 @@ def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
     hint = "finite radians (a reading without a direction has to be left out)"
     _check_finite(angles, name, "angles", hint)
     worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
-    if abs(worst) > _MAX_ANGLE:
+    if abs(worst) > MOST_TURNED:
         raise wrong(f"{name}: {key}", f"{worst:g}", _DEGREES)
+
+
+_STATED: ContextVar[Logs] = ContextVar("stated", default=Logs())  # noqa: B039, it is frozen
+
+
+@contextlib.contextmanager
+def stated(how: Logs) -> Iterator[None]:
+    """Let what is stated about a file that is read win over what it says that cannot be.
+
+    Examples
+    --------
+    >>> entry = {"ranges": [1.0, 2.0], "angles": [0.0, 0.5], "range_max": 0.0}
+    >>> with stated(Logs(range_max=9.0)):
+    ...     collect([("a", entry)], "a")[0].range_max
+    9.0
+    """
+    token = _STATED.set(how)
+    try:
+        yield
+    finally:
+        _STATED.reset(token)
+
+
+def reach_of(value: Any, where: str, low: float = 0.0) -> float:
+    """The range_max that a file says, or that is stated where the file's cannot be."""
+    how = _STATED.get()
+    try:
+        high = scalar(value, where)
+        _check_limits(low, high, where.removesuffix(": range_max"))
+    except ScanError as error:
+        if how.range_max is None or low < 0 or how.range_max / how.scale <= low:
+            raise ScanError(f"{error}; or pass `range_max`") from None
+        return how.range_max / how.scale
+    return high
 
 
 def _check_limits(range_min: float, range_max: float, name: str) -> None:
@@ -253,25 +292,31 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     spaced = entry.get("angles") is None
     given = {
         key: scalar(entry[key], f"{where}: {key}")
-        for key in (*(SPACING if spaced else ()), *_LIMITS, _PACE, "stamp")
+        for key in (*(SPACING if spaced else ()), "range_min", _PACE, "stamp")
         if entry.get(key) is not None
     }
-    for key in SPACING:
-        _check_angles(np.array([given.get(key, 0.0)]), where, key)
-    angles = (
-        _spaced_angles(given, len(ranges), where)
-        if spaced
-        else numbers(entry["angles"], where, "angles", ndim=(1,))
-    )
-    if len(angles) != len(ranges):
-        raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
-    _check_angles(angles, where)
-    low, high = (given.get(key, default) for key, default in _LIMITS.items())
-    _check_limits(low, high, where)
+    try:
+        for key in SPACING:
+            _check_angles(np.array([given.get(key, 0.0)]), where, key)
+        angles = (
+            _spaced_angles(given, len(ranges), where)
+            if spaced
+            else numbers(entry["angles"], where, "angles", ndim=(1,))
+        )
+        if len(angles) != len(ranges):
+            raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
+        _check_angles(angles, where)
+    except ScanError as error:
+        if (fov := _STATED.get().fov) is None:
+            raise ScanError(f"{error}; or pass `fov`") from None
+        angles = spread(len(ranges), fov)
+    low, high = given.get("range_min", 0.0), entry.get("range_max")
+    _check_limits(low, math.inf, where)
+    high = math.inf if high is None else reach_of(high, f"{where}: range_max", low)
     stamp, mount = given.get("stamp", math.nan), entry.get("mount")
     _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
-        mount = Pose2D(*_pose(mount, where, "mount"))
+        mount = wrapped_pose(*_pose(mount, where, "mount"))
     laser = entry.get("laser", "")
     if not isinstance(laser, str):
         raise wrong(f"{where}: laser", repr(laser)[:40], "the name of the laser, a text")
@@ -355,8 +400,9 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
             raise wrong(f"{name}: {key}", f"shape {value.shape}", f"one number or {(n,)}")
         limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
     paces = limits.pop()
-    for low, high, pace in zip(*limits, paces, strict=True):
-        _check_limits(low, high, name)
+    for k, (low, high, pace) in enumerate(zip(*limits, paces, strict=True)):
+        _check_limits(low, math.inf, name)
+        limits[1][k] = reach_of(high, f"{name}: range_max", low)
         _check_pace(pace, readings, name)
     beside: dict[str, FloatArray] = {}
     for key in [key for key in _BESIDE if key in arrays]:
@@ -391,7 +437,7 @@ def _mounts(mount: FloatArray | None, n: int, name: str) -> list[Pose2D | None]:
     if mount.shape not in ((3,), (n, 3)):
         raise wrong(f"{name}: mount", f"shape {mount.shape}", f"(3,) or {(n, 3)}")
     rows = np.broadcast_to(mount, (n, 3))
-    return [None if np.isnan(r).all() else Pose2D(*_pose(r, name, "mount")) for r in rows]
+    return [None if np.isnan(r).all() else wrapped_pose(*_pose(r, name, "mount")) for r in rows]
 
 
 def _lasers(laser: FloatArray | None, n: int, name: str) -> list[str]:

@@ -1,11 +1,11 @@
-"""Scans as text: CSV, one scan a line, and JSON lines with the names of sensor_msgs/LaserScan."""
+"""Scans as JSON with the names of sensor_msgs/LaserScan, and what all texts have in common."""
 
 import contextlib
 import json
 import math
 import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,97 +13,29 @@ import numpy as np
 from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
-from imgloc.io.scanset import MAX_RAYS, SPACING, Entry, ScanSet, ScansSize, collect, scalar, spread
+from imgloc.io.scanset import (
+    MAX_RAYS,
+    Entry,
+    ScanSet,
+    ScansSize,
+    collect,
+    reach_of,
+    scalar,
+)
 from imgloc.io.text import MAX_TEXT, open_text, read_text
 from imgloc.options import MAX_BAD
 
 _BLOCK = 1 << 20  # bytes
 MAX_LINE = 64 * MAX_RAYS
 """Characters of a line of text, which holds a scan."""
-_SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
-_SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
-_PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
-_BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
+_WRAPS = ("msg", "message", "data", "value")  # keys of what a message came in
+_SNAKE = re.compile(r"(?<=[a-z])[A-Z]")
+_NAMES = {
+    "start_angle": "angle_min", "end_angle": "angle_max",  # of Foxglove
+    "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
+}  # fmt: skip
+_NANO = 1e14  # seconds that no stamp has, but nanoseconds
 _POSES = ("pose", "odom", "mount")
-
-
-def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_BAD) -> ScanSet:
-    """Read scans from a CSV: one scan a line, its ranges in the order of the angles.
-
-    Lines that begin with ``#`` give what the numbers do not, in metres and radians::
-
-        # angle_min=-1.5708, angle_max=1.5708, range_min=0.05, range_max=30
-        2.31,2.30,nan,inf,1.02
-
-    ``angle_min`` is needed with ``angle_max`` or ``angle_increment``, or else `fov`: radians from
-    the first ray to the last, straight ahead between. A first line of names
-    is optional; columns called ``stamp``, ``x``, ``y``, ``theta`` are the stamp and the known
-    pose of the sensor, ``odom_x``, ``odom_y``, ``odom_theta`` the odometry, the robot's pose in
-    its own frame; all others are ranges in order, whose names are alike. A file with
-    the two columns ``angle`` and ``range``, or with just two columns of numbers, is one scan, one
-    reading a line. Empty cells are NaN. Broken lines are left out, up to the share `max_bad`, as is
-    a last one that was cut off.
-    """
-    name, settings, columns = display(path), dict[str, Any](), list[str]()
-    rows, bad, lines = list[tuple[str, list[float]]](), BadLines(name, max_bad), _lines(path)
-    for line, text in lines.numbered:
-        where = f"{name}: line {line}"
-        if text.startswith("#"):
-            said = [(key, value) for key, value in _SETTING.findall(text) if key in _SETTINGS]
-            settings |= {key: _number_of(value, f"{where}: {key}") for key, value in said}
-            continue
-        cells = [cell.strip() for cell in text.split(",")]
-        # A line of which only some cells are numbers is data with a slip in it.
-        if not columns and not rows and not any(map(_is_number, cells)):
-            columns = [cell.strip("\"'").lower() for cell in cells]
-            continue
-        try:
-            row = [_number_of(cell, f"{where}: column {i + 1}") for i, cell in enumerate(cells)]
-            for before, why in ((rows and rows[0][1], " as before"), (columns, ": one per name")):
-                if before and len(row) != len(before):
-                    raise ScanError(f"{where}: {len(row)} numbers, expected {len(before)}{why}")
-        except ScanError as error:
-            if rows and line == lines.cut:
-                bad.cut(where)
-            else:
-                bad.skip(error)
-            continue
-        rows.append((where, row))
-    if not rows:
-        bad.check(0)
-        raise ScanError(f"{name}: holds no scan, expected one per line")
-    table = np.array([row for _, row in rows])
-    at = {column: i for i, column in enumerate(columns)}
-    if not at and table.shape[1] == 2 and len(table) > 1 and not settings:
-        at = {"angle": 0, "range": 1}
-    if at.keys() >= {"angle", "range"}:
-        bad.check(len(table))
-        angles, ranges = table[:, at["angle"]], table[:, at["range"]]
-        return collect([(name, {**settings, "angles": angles, "ranges": ranges})], name)
-    beside = {column: i for column, i in at.items() if column in _BESIDE}
-    places = dict[str, list[int]]()
-    for key, wanted in _PLACES.items():
-        found = [column for column in wanted if column in beside]
-        if found and len(found) < len(wanted):
-            expected = f"expected all of {', '.join(wanted)} or none"
-            raise ScanError(f"{name}: columns {', '.join(found)}, {expected}")
-        places[key] = [beside[column] for column in found]
-    _check_alike([column for column in columns if column not in beside], name)
-    ranges = np.delete(table, list(beside.values()), axis=1)
-    if ranges.shape[1] == 1 and len(ranges) > 1:
-        expected = "a scan a line, its ranges with commas between, or two columns, angle and range"
-        raise ScanError(f"{name}: {len(ranges):,} lines of one range each, expected {expected}")
-    entries: list[Entry] = []
-    if fov is not None and "angle_min" not in settings:
-        settings["angles"] = spread(ranges.shape[1], fov)
-    if rows and not {"angles", "angle_min"} & settings.keys():
-        expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
-        raise ScanError(f"{rows[0][0]}: angles: missing, expected {expected}")
-    for (where, row), values in zip(rows, ranges, strict=True):
-        stamp = row[beside["stamp"]] if "stamp" in beside else None
-        poses = {key: [row[i] for i in place] or None for key, place in places.items()}
-        entries.append((where, {**settings, "ranges": values, "stamp": stamp, **poses}))
-    return collect(entries, name, bad)
 
 
 def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
@@ -115,37 +47,103 @@ def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
     (where the sensor sits on the robot) as [x, y, theta] or an object of these names; ``laser`` (or
     ``header.frame_id``), a name for each of several lasers. In ranges, null is NaN, and "inf",
     "-inf", "nan" may be strings.
-    A ``.json`` file may also be one such object, or an array of them. Broken lines are left out,
-    up to the share `max_bad`, as is a last one that was cut off.
+    Scans of rosbridge, of Foxglove and of CSM are known, too; what a recording of rosbridge has of
+    other topics is passed over. A ``.json`` file may also be one such object, or an array of them.
+    Broken lines are left out, up to the share `max_bad`, as is a last one that was cut off.
     """
-    name, bad = display(path), BadLines(display(path), max_bad)
+    name, bad, topics = display(path), BadLines(display(path), max_bad), set[str]()
     whole_file = str(path).lower().removesuffix(".gz").endswith(".json")
-    lines = _lines(path, MAX_TEXT if whole_file else MAX_LINE)
-    entries = list[Entry]()
+    lines = lines_of(path, MAX_TEXT if whole_file else MAX_LINE)
+    entries, cut = list[Entry](), f"{name}: line {lines.cut}"
+    parts = ((f"{name}: line {line}", text) for line, text in lines.numbered)
+    found: Iterable[tuple[str, Any]] = parts
     if whole_file:
         text = "\n".join(text for _, text in lines.numbered)
         commas, braces = text.count(","), text.count("{")
         if commas > 4 * MAX_RAYS * max(braces, 1):
             raise ScanError(f"{name}: {commas:,} values, expected at most {MAX_RAYS:,} a scan")
-        whole = _json(text, name)
-        for i, item in enumerate(whole if isinstance(whole, list) else [whole]):
-            entries.append((where := f"{name}: scan {i}", _object(item, where)))
-        return collect(entries, name, bad)
-    for line, text in lines.numbered:
-        where = f"{name}: line {line}"
+        if braces < 2 or not _is_json(lines.numbered[0][1]) or len(lines.numbered) == 1:
+            whole = _json(text, name)
+            items = whole if isinstance(whole, list) else _listed(whole)
+            found = ((f"{name}: scan {i}", item) for i, item in enumerate(items))
+    for where, item in found:
         try:
-            entries.append((where, _object(_json(text, where), where)))
+            entry = _json(item, where) if isinstance(item, str) else item
+            entry, topic = unwrapped(entry)
+            if topic is not None and "ranges" not in entry:
+                continue
+            entries.append((where, _object(entry, where)))
+            topics |= set() if topic is None else {topic}
         except ScanError as error:
-            if entries and line == lines.cut:
+            if entries and where == cut:
                 bad.cut(where)
             else:
                 bad.skip(error)
+    if len(topics) > 1:
+        some = ", ".join(sorted(topics))
+        raise ScanError(f"{name}: scans of several topics, {some}; keep the lines of one of them")
     return collect(entries, name, bad)
+
+
+def _is_json(text: str) -> bool:
+    with contextlib.suppress(ValueError, RecursionError):
+        return isinstance(json.loads(text), dict)
+    return False
+
+
+def _listed(whole: Any) -> list[Any]:
+    """The scans of one JSON value: itself, or those that it lists."""
+    lists = [v for v in whole.values() if isinstance(v, list)] if isinstance(whole, dict) else []
+    inside = [v for v in lists if v and all(isinstance(item, dict) for item in v)]
+    return inside[0] if len(inside) == 1 and "ranges" not in whole else [whole]
+
+
+def unwrapped(entry: Any) -> tuple[Any, str | None]:
+    """The fields of a scan by the names of LaserScan, and the topic of what they came in.
+
+    Examples
+    --------
+    >>> unwrapped({"op": "publish", "topic": "/scan", "msg": {"ranges": [1.0], "angleMin": 0.5}})
+    ({'ranges': [1.0], 'angle_min': 0.5}, '/scan')
+    >>> unwrapped({"readings": [1.0, None], "theta": [0.0, 0.1], "timestamp": [5, 500000]})[0]
+    {'ranges': [1.0, None], 'angles': [0.0, 0.1], 'timestamp': [5, 500000], 'stamp': 5.5}
+    """
+    if not isinstance(entry, dict):
+        return entry, None
+    inner = next((entry[key] for key in _WRAPS if isinstance(entry.get(key), dict)), None)
+    if inner is not None and "ranges" not in entry:
+        topic = entry.get("topic")
+        return unwrapped(inner)[0], str(topic) if topic is not None else "a topic"
+    plain = {_SNAKE.sub(lambda m: f"_{m[0].lower()}", str(key)): v for key, v in entry.items()}
+    foxglove = "start_angle" in plain
+    plain = {_NAMES.get(key, key): value for key, value in plain.items()}
+    if foxglove:
+        plain.pop("pose", None)  # of the sensor in its own frame
+    stamp = plain.get("timestamp")
+    if "angles" in plain and isinstance(stamp, list) and len(stamp) == 2:  # of CSM
+        plain["stamp"] = stamp[0] + 1e-6 * stamp[1]
+        valid = plain.get("valid") or [1] * len(plain["ranges"])
+        plain["ranges"] = [r if v else None for r, v in zip(plain["ranges"], valid, strict=False)]
+        for key in ("pose", "odom"):
+            if None in (plain.get(key) or [None]):
+                plain.pop(key, None)
+    elif stamp is not None and "stamp" not in plain:
+        plain["stamp"] = _seconds(stamp)
+    return plain, None
+
+
+def _seconds(stamp: Any) -> Any:
+    """Seconds of a timestamp: of a text as RFC 3339 has it, or of nanoseconds."""
+    if isinstance(stamp, str):
+        with contextlib.suppress(ValueError):
+            return datetime.fromisoformat(stamp.replace("Z", "+00:00")).timestamp()
+        return None
+    return 1e-9 * stamp if isinstance(stamp, int) and stamp > _NANO else stamp
 
 
 def read_jsonl_line(text: str, where: str) -> ScanSet:
     """The scan of one of the lines of :func:`read_jsonl`; `where` it stands, for errors."""
-    return collect([(where, _object(_json(text, where), where))], where)
+    return collect([(where, _object(unwrapped(_json(text, where))[0], where))], where)
 
 
 def _object(entry: object, where: str) -> dict[str, Any]:
@@ -157,30 +155,34 @@ def _object(entry: object, where: str) -> dict[str, Any]:
 def text_size(path: PathLike, *, between: bytes = b",") -> ScansSize:
     """How much a text may hold: a scan on each line or in each brace, numbers `between` marks.
 
+    Of several marks it is that which is there most often.
+
     Where numbers are on lines of their own, messages are between lines of dashes.
     """
-    counts = np.array([1, 0, 0, 0, 1])
+    marked = [bytes([mark]) for mark in between]
+    counts = np.array([1, 0, 0, 1, *[0] * len(marked)])
     with open_text(path) as (file, length):
         while block := file.read(_BLOCK):
-            counts += [block.count(mark) for mark in (b"\n", b"{", b",", between, b"\n---")]
-    lines, braces, commas, marks, dashes = counts.tolist()
+            counts += [block.count(mark) for mark in (b"\n", b"{", b",", b"\n---", *marked)]
+    lines, braces, commas, dashes, *marks_of = counts.tolist()
+    marks = max(marks_of)
     if between == b"\n":
         return ScansSize(dashes, lines + commas, length, text=True)
     return ScansSize(max(lines, braces), lines + marks, length, text=True)
 
 
-class _Lines(NamedTuple):
+class Lines(NamedTuple):
     """The lines of a file that are not blank, numbered from 1."""
 
     numbered: list[tuple[int, str]]
     cut: int  # number of the last line if that does not end, else 0
 
 
-def _lines(path: PathLike, most: int = MAX_LINE) -> _Lines:
+def lines_of(path: PathLike, most: int = MAX_LINE) -> Lines:
     """The lines of a file of text, each of at most so many characters."""
     text = read_text(path)
     numbered = check_lines(text.split("\n"), display(path), most)
-    return _Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
+    return Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
 
 
 def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[tuple[int, str]]:
@@ -195,28 +197,7 @@ def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[t
     return [(i, s) for i, line in enumerate(lines, 1) if (s := line.strip())]
 
 
-def _check_alike(columns: Sequence[str], name: str) -> None:
-    """ScanError if most columns have one name and a number, such as r0, and others do not.
-
-    Else a time or a heading would be a range, and all rays after it would have a wrong angle.
-    """
-    stems = [re.sub(r"[-+.\d]+", "", column) for column in columns]
-    usual, count = max(Counter(stems).items(), key=lambda item: item[1], default=("", 0))
-    others = [column for column, stem in zip(columns, stems, strict=True) if stem != usual]
-    if count > len(others) > 0:
-        like = columns[stems.index(usual)]
-        expected = f"expected ranges called as {like} is, or {', '.join(_BESIDE)}"
-        raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected}")
-
-
-def _is_number(cell: str) -> bool:
-    with contextlib.suppress(ValueError):
-        float(cell)
-        return True
-    return not cell
-
-
-def _number_of(text: str, where: str) -> float:
+def number_of(text: str, where: str) -> float:
     """The number that `text` spells; nothing and ``null`` are NaN."""
     if not text or text.lower() == "null":
         return math.nan
@@ -225,6 +206,16 @@ def _number_of(text: str, where: str) -> float:
     except ValueError:
         hint = "; separate by commas, with decimal points" if re.search(r"[;\t ]", text) else ""
         raise ScanError(f"{where}: got {text[:40]!r}, expected a number{hint}") from None
+
+
+def setting_of(key: str, text: str, where: str) -> float:
+    """The number of a setting: of range_max what is stated, where there is no number."""
+    try:
+        return number_of(text, where)
+    except ScanError:
+        if key != "range_max":
+            raise
+        return reach_of(text, where)
 
 
 def _json(text: str, where: str) -> Any:
@@ -239,16 +230,17 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     plain = dict(entry)
     if isinstance(entry.get("ranges"), list):
         plain["ranges"] = [
-            _number_of(v or "", f"{where}: ranges[{i}]") if isinstance(v, str | None) else v
+            number_of(v or "", f"{where}: ranges[{i}]") if isinstance(v, str | None) else v
             for i, v in enumerate(entry["ranges"])
         ]
     for key in ("range_min", "range_max"):
         if isinstance(entry.get(key), str):
-            plain[key] = _number_of(entry[key], f"{where}: {key}")
+            plain[key] = setting_of(key, entry[key], f"{where}: {key}")
     header = h if isinstance(h := entry.get("header"), dict) else {}
     stamp = entry.get("stamp", header.get("stamp"))
     if isinstance(stamp, dict):
         parts = [stamp.get(a, stamp.get(b, 0)) for a, b in (("sec", "secs"), ("nanosec", "nsecs"))]
+        parts[1] = parts[1] or stamp.get("nsec", 0)
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in parts)
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = stamp

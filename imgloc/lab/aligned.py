@@ -50,7 +50,7 @@ def alignment_text(row: Mapping[str, Any]) -> str:
             f"  pose       {_pose(row)}",
             f"  walls      {agree} agree: {row['agreeing_m']:.0f} m, against {against}",
             f"  residual   {row['residual']:.3f} m; {_thickness(row['thicker'])}",
-            f"  bend       {row['bend']:.2f} m: by so much the maps deform against each other",
+            f"  bend       the maps are bent against each other by up to {row['bend']:.2f} m",
             f"  overlap    {100 * row['overlap']:.0f} % of the smaller map's free space",
         ]
         others = row["others"] if row["verdict"] == "ambiguous" else []

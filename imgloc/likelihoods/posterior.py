@@ -40,7 +40,7 @@ def calibrated(
     >>> print(calibrated(stack, free, 20, Calibration(temperature=0.25)).ravel())
     [0.2 0.8 0. ]
     """
-    how = DEFAULTS[stack.method] if calibration is None else calibration
+    how = DEFAULTS.get(stack.method, Calibration()) if calibration is None else calibration
     values, temperature = smoothed(stack, how), how.temperature_at(stack.method, readings)
     return posterior(values, stack.method, free, temperature=temperature, headings=headings)
 

@@ -1,6 +1,7 @@
 """The stack of a method by its name."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from imgloc.errors import ConfigError, expect
 from imgloc.features.budget import check_budget, stack_bytes
@@ -11,6 +12,18 @@ from imgloc.likelihoods.cbml import cbml, cbml_o
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood
 from imgloc.options import METHODS, Options
+
+
+class Stack(Protocol):
+    """A likelihood of one's own: any function that makes the stack of a scan on a map.
+
+    The values (K, H, W) are 0 or more, not logarithms, at K headings that are spread evenly over
+    the circle from 0, and at the cells of ``features.lattice``. The name of the method is one's
+    own. :func:`imgloc.localize` takes such a function as `stack`.
+    """
+
+    def __call__(self, features: MapFeatures, scan: LaserScan, /) -> Likelihood:
+        """The stack of a scan, in the sensor frame, on a map."""
 
 
 def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -> Likelihood:
@@ -62,17 +75,23 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     return Likelihood(values, thetas, lattice, method, scan)
 
 
-def check_stack(
-    stack: Likelihood, features: MapFeatures, scan: LaserScan, options: Options
-) -> None:
-    """Raise a ConfigError if a stack belongs to another method, map or scan."""
-    if stack.method != options.method:
+def made_stack(
+    stack: Likelihood | Stack, features: MapFeatures, scan: LaserScan, options: Options
+) -> Likelihood:
+    """Return a stack, made if it is a function; ConfigError if it is of another known method.
+
+    ConfigError also if it is of another map or scan.
+    """
+    stack = stack(features, scan) if callable(stack) else stack
+    expect(stack, Likelihood, "stack")
+    if stack.method in METHODS and stack.method != options.method:
         raise ConfigError(f"stack: got one of {stack.method}, expected one of {options.method}")
     of, here = ((*g.shape, g.resolution) for g in (stack.grid, features.lattice))
     if of != here:
         raise ConfigError(f"stack: got rows, columns, cell {of}, expected {here}: of another map?")
     if stack.scan is not None and stack.scan.digest != scan.digest:
         raise ConfigError(f"stack: got one of another scan, {stack.scan!r}, expected {scan!r}")
+    return stack
 
 
 def check_method(name: str, known: Sequence[str]) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.logcheck import Finding, LogReport
+from imgloc.answers.scanmotion import AGREES
 from imgloc.errors import as_options
 from imgloc.features.scanpoints import scan_xy
 from imgloc.io.kinds import Kind
@@ -83,7 +84,8 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
     ]
     if facts["agreement"] is not None:
         share = f"{100 * facts['agreement']:.0f} % of the readings of a scan fall on an earlier one"
-        lines.append(("agreement", share + ", moved by the odometry"))
+        verdict = "good" if facts["agreement"] >= AGREES else "poor"
+        lines.append(("agreement", f"{verdict}: {share}, moved by the odometry"))
     if facts["straightened"] is not None:
         ways = (f"{100 * share:.0f} % with `straighten={way}`"
                 for way, share in facts["straightened"].items())  # fmt: skip
@@ -162,10 +164,11 @@ def _sensor(sensor: Sequence[float] | None) -> str:
 
 def _on_map(facts: Mapping[str, Any]) -> str:
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in facts["on_map"].items() if n)
-    new = facts["not_on_map"]
-    return f"{verdicts or 'no scan to try'}" + (
-        "" if new is None else f"; {100 * new:.0f} % of the rays see what is not on it"
-    )
+    new, tried = facts["not_on_map"], sum(facts["on_map"].values())
+    if not tried:
+        return "no scan to try"
+    ends = "" if new is None else f"; {100 * new:.0f} % of their rays end where the map is empty"
+    return f"{tried} scan{'s' if tried > 1 else ''} tried: {verdicts}{ends}"
 
 
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -64,8 +65,16 @@ class Picture:
     image: Image
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
-        """Write it as PNG, whole or not at all; an OutputError if it exists, without `force`."""
-        write_bytes_atomic(path, encode_picture(self.image), force=force)
+        """Write it, whole or not at all, as PNG, JPEG or WebP: as the name says.
+
+        A ConfigError for another name; an OutputError if it exists, without `force`.
+        """
+        data = encode_picture(self.image, Path(path).suffix.lower().replace("jpg", "jpeg")[1:])
+        write_bytes_atomic(path, data, force=force)
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        return f"<Picture of {width} x {height} pixels; save(path) writes it>"
 
     def _repr_png_(self) -> bytes:
         return encode_picture(self.image)

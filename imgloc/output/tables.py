@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from imgloc.runs.batch import BatchSummary
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
-_UNDER = "sd: standard deviation, from noise and from errors that a wall shares"
+_UNDER = "sd: standard deviation, with errors common to one wall"
 _LISTED = 3  # maps that a line of `imgloc which` names
 
 
@@ -156,10 +156,10 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             facts.append(("map", how + bent))
         if evidence.floor is not None:
             facts.append(("floor", floor_words(evidence.floor)))
-        poses = f"{evidence.listed} of {evidence.found} listed"
+        poses = f"{evidence.listed} of {evidence.found} places shown"
         if evidence.unlisted > 0:
-            poses += f", {percent(evidence.unlisted)} on this map at none of these"
-        facts.append(("poses", f"{poses}, elsewhere {percent(answer.elsewhere)}"))
+            poses += f"; the rest share {percent(evidence.unlisted)}"
+        facts.append(("poses", f"{poses}; {percent(answer.elsewhere)} that none is right"))
     counts = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in answer.counts.items())
     facts += [("readings", counts), ("time", times_words(answer))]
     lines = [f"{title}: {answer.verdict}" + ("" if answer.complete else ", out of time")]
@@ -178,7 +178,7 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         ]
         columns = ("#", "mass", "x / m", "y / m", "theta / deg", "sd xy / m", "sd deg", "log L")
         lines += ["", as_plain(columns, rows), _UNDER]
-        lines.append(f"{percent(_unlisted(answer))} of the mass is in none of these rows")
+        lines.append(f"not shown above: {percent(_unlisted(answer))} of the probability")
         masses = [h.mass for h in answer.hypotheses]
         if masses != sorted(masses, reverse=True):  # a peak may be higher than it holds
             lines[-1] += "; they are in the order of log L, the score"

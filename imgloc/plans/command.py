@@ -93,7 +93,7 @@ def plan(
 
     Walls may be filled, two lines, hatched, or single thick lines. Door swings, text, furniture,
     stairs, dimensions and thin lines are taken away, and what is outside becomes unknown. The
-    building is the largest space within walls: frames, titles and legends are none.
+    building is the largest space within walls: frames, titles and legends are not part of it.
     """
     from imgloc.cli import inputs
     from imgloc.io.images import image_size

@@ -30,6 +30,7 @@ from imgloc.features.budget import (
 )
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
+from imgloc.io.badlines import held
 from imgloc.io.bags import BAG_ENDINGS, read_bag_map
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
@@ -273,7 +274,7 @@ class Desk:
         )
         recorded = load_scans(
             path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height,
-            odom=files.odom,
+            odom=files.odom, range_max=files.range_max and files.range_max / files.scale,
         )  # fmt: skip
         if files.mount is not None and len({s.laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
@@ -378,7 +379,7 @@ def quiet_libraries() -> Iterator[None]:
     """
     if sys.stderr is not None:
         sys.stderr.flush()
-    with STDERR, contextlib.ExitStack() as undo:
+    with STDERR, held(), contextlib.ExitStack() as undo:
         with contextlib.suppress(OSError):  # without a standard error nothing is to be done
             kept = os.dup(2)
             undo.callback(os.close, kept)

@@ -10,7 +10,7 @@ from imgloc.features.scanpoints import one_per_place, scan_xy
 from imgloc.geometry import centre_of
 from imgloc.likelihoods.posterior import calibrated, entropy
 from imgloc.model import Evidence, Float32Array, FloatArray, LaserScan, Likelihood, Temperature
-from imgloc.options import DEFAULTS, Options, Shared
+from imgloc.options import DEFAULTS, Calibration, Options, Shared
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import masses
 from imgloc.search.peaks import peaks_of_posterior
@@ -85,7 +85,7 @@ def weigh_stack(
     )
     if len(poses) == 0:
         return nothing(options)
-    how = options.calibration or DEFAULTS[stack.method]
+    how = options.calibration or DEFAULTS.get(stack.method, Calibration())
     temperature = how.temperature_at(stack.method, int(scan.valid.sum()))
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):

@@ -278,4 +278,4 @@ def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(
     (row,) = rows(call("evaluate", "curved", "--scans", half, *mended).out)
     assert row["success"][-1]["at_1"]["hits"] == 2
     run = call("evaluate", "curved", "--scans", away, "--method", "fused")
-    assert "the scans do not fit the map at their recorded poses" in run.err.splitlines()[-1]
+    assert "the recorded poses do not match this map" in run.err.splitlines()[-1]

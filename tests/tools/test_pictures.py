@@ -27,7 +27,7 @@ def test_a_stale_picture_is_noticed(
 
 
 def test_every_picture_of_the_readme_and_the_paper_is_made_by_the_command() -> None:
-    pages = (ROOT / name for name in ("README.md", "tools/docs/paper.md"))
+    pages = (ROOT / name for name in ("README.md", "tools/docs/start.md", "tools/docs/paper.md"))
     text = "".join(page.read_text("utf-8") for page in pages)
     shown = re.findall(r"!\[[^]]*\]\((?:tools|\.\.)/(\w+)\.png\)", text)
     assert sorted(shown) == sorted(pictures.PICTURES)

@@ -43,7 +43,7 @@ def changes(
     """Find where a map has aged: walls that rays pass (gone), surfaces where it has none (new).
 
     Each scan is located without a guess, and only those that are unique count. A change needs 3
-    scans from 2 places or times, so people who walk by are none. Of a file with more than 300 scans
+    scans from 2 places or times, so passers-by are not counted. Of a file with more than 300 scans
     300 are taken, evenly spread, unless --scans-index or --sample chooses. DIR is a folder of
     results of imgloc batch with its job localize: its poses on MAP are used, nothing is located
     again, and its scans are read as the batch has read them. A scan counts

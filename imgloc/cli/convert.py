@@ -1,0 +1,38 @@
+"""`imgloc convert`: scans of any log in the form of another file."""
+
+from pathlib import Path
+
+from imgloc.cli import options as opt
+from imgloc.cli.console import say
+from imgloc.io.files import display
+from imgloc.options import Chosen, Logs, MemoryBudget, Mounting
+from imgloc.ranges import option
+
+_ENDINGS = (".csv", ".jsonl", ".npz", ".mcap")
+
+
+def convert(
+    *,
+    scans_path: opt.ScansPath,
+    out: Path = option(..., "File that is written: .csv, .jsonl, .npz or .mcap.", "OUT"),
+    logs: Logs,
+    chosen: Chosen,
+    mounting: Mounting,
+    memory_budget: MemoryBudget | None = None,
+    force: opt.Force = False,
+) -> None:
+    """Write the scans of any log as CSV, JSON lines, NPZ or MCAP.
+
+    Ranges become metres, and readings are those of an upright sensor. Stamps, odometry, known poses
+    and the place of the sensor go along where the form has room for them: CSV has none for the
+    place of the sensor, MCAP none for known poses. MCAP is a recording of ROS 2 with /scan, /odom
+    and /tf_static, and needs rosbags: pip install 'imgloc[ros]'.
+    """
+    from imgloc.cli import inputs
+    from imgloc.output import converted
+
+    inputs.check_target(out, _ENDINGS, force=force, inputs=[scans_path])
+    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
+    scans = desk.scans(scans_path, inputs.as_recorded(logs, chosen, mounting)).scans
+    converted.convert(scans, out, force=force)
+    say(f"wrote {display(out)}: {len(scans):,} scans")

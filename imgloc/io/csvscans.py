@@ -1,0 +1,419 @@
+"""Scans as tables of text, whose columns are understood by their names and by what they hold.
+
+>>> role_of("field.ranges12"), role_of("/scan/angle_min"), role_of("Distance [mm]")
+(('ranges', 12, 1.0), ('angle_min', 0, 1.0), ('range', 0, 0.001))
+"""
+
+import contextlib
+import itertools
+import logging
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import ScanError
+from imgloc.io.badlines import BadLines
+from imgloc.io.files import PathLike, display
+from imgloc.io.scanset import SPACING, Entry, ScanSet, collect, spread
+from imgloc.io.textscans import lines_of, number_of, setting_of
+from imgloc.model import FloatArray
+from imgloc.options import MAX_BAD
+
+_LOG = logging.getLogger("imgloc")
+_SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
+_SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
+_PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
+_BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
+_UNITS = {"mm": 1e-3, "cm": 1e-2, "deg": math.pi / 180, "degrees": math.pi / 180, "ms": 1e-3,
+          "us": 1e-6, "ns": 1e-9}  # fmt: skip
+_UNIT = re.compile(
+    r"[\s_.(\[]+(mm|cm|m|metres|meters|deg|degrees|rad|radians|ms|us|ns|s|sec)[)\]]?$"
+)
+_RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
+_ROLES = (
+    (re.compile(rf"(.*[./])?({'|'.join(_SETTINGS)})$"), ""),
+    (re.compile(r"(.*[./])?stamp[./]n(ano)?secs?$"), "nanoseconds"),
+    (re.compile(r"(.*[./])?stamp[./]secs?$"), "seconds"),
+    (re.compile(r"(.*[./])?stamp$"), "stamp"),
+    (re.compile(r"(%|__)?(time|timestamp|t)$"), "time"),
+    (re.compile(r"(.*[./])?(header[./_])?(seq|frame_id|scan_time)$|.*intensit.*|quality|"
+                r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$"), "aside"),
+    (re.compile(r"angle|bearing|azimuth|phi|alpha"), "angle"),
+    (re.compile(r"range|dist|distance|r"), "range"),
+    (re.compile(r"scan|sweep"), "scan"),
+)  # fmt: skip
+_EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
+_EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
+_EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
+_ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
+Row = tuple[str, list[str]]  #: where a line stands, and its cells
+
+
+def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_BAD) -> ScanSet:
+    """Read scans from a table: one scan a line, its ranges in the order of the angles.
+
+    Commas stand between the cells, or semicolons, tabs or blanks. Lines that begin with ``#`` give
+    what the numbers do not, in metres and radians::
+
+        # angle_min=-1.5708, angle_max=1.5708, range_min=0.05, range_max=30
+        2.31,2.30,nan,inf,1.02
+
+    ``angle_min`` is needed with ``angle_max`` or ``angle_increment``, or else `fov`: radians from
+    the first ray to the last, straight ahead between; or the first line holds the angles. A first
+    line of names is optional; columns called ``stamp``, ``x``, ``y``, ``theta`` are the stamp and
+    the known pose of the sensor, ``odom_x``, ``odom_y``, ``odom_theta`` the odometry, the robot's
+    pose in its own frame; all others are ranges in order, whose names are alike. The columns of
+    ``rostopic echo -p``, ``ros2 topic echo --csv``, bagpy and PlotJuggler are known. A file with
+    columns such as ``angle`` and ``range``, ``angle_deg`` and ``distance_mm``, or with just two
+    columns of numbers, has one reading a line. Empty cells are NaN. Broken lines are left out, up
+    to the share `max_bad`, as is a last one that was cut off.
+    """
+    name, settings, comment = display(path), dict[str, Any](), ""
+    lines, body = lines_of(path), list[Row]()
+    for line, text in lines.numbered:
+        where = f"{name}: line {line}"
+        if text.startswith("#"):
+            said = [(key, value) for key, value in _SETTING.findall(text) if key in _SETTINGS]
+            settings |= {key: setting_of(key, value, f"{where}: {key}") for key, value in said}
+            comment = comment if body or said else text.strip("# ")
+        else:
+            body.append((where, cells_of(text)))
+    if not body:
+        raise ScanError(f"{name}: holds no scan, expected one per line")
+    table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
+    if _is_echo(body[0][1]):
+        return table.echoed()
+    first, names = body[0][1], [cell.lower() for cell in cells_of(comment)]
+    numeric = [cell for cell in first if cell and _is_number(cell)]
+    if not numeric or first[0].startswith("%"):
+        names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
+    elif (angles := _angle_row(body, settings)) is not None:
+        lead = len(first) - len(angles)
+        names = [cell.lower() or "t" for cell in body.pop(0)[1][:lead]]
+        names += [f"ranges{k}" for k in range(len(angles))]
+        table.settings = {**settings, "angles": angles}
+    elif len(names) != len(first) or any(map(_is_number, names)):
+        names = []
+    if not body:
+        raise ScanError(f"{name}: holds no scan, expected one per line")
+    return table.read(names, fov)
+
+
+def cells_of(text: str) -> list[str]:
+    """The cells of a line, whatever stands between them; decimal commas become points.
+
+    Examples
+    --------
+    >>> cells_of("1.5, ,x"), cells_of("1,5;2,5"), cells_of("1.5  2")
+    (['1.5', '', 'x'], ['1.5', '2.5'], ['1.5', '2'])
+    """
+    for mark in (";", "\t"):
+        if mark in text and f",{mark}" not in text:
+            cells = [cell.strip() for cell in text.split(mark)]
+            return [re.sub(r"^([-+]?\d*),(\d+)$", r"\1.\2", cell) for cell in cells]
+    return [cell.strip() for cell in text.split(",")] if "," in text else text.split()
+
+
+def role_of(name: str) -> tuple[str, int, float]:
+    """What a column holds by its lower-case name, its number among its like, and its unit in SI.
+
+    It is ``ranges`` for a column of a scan a line, empty if the name tells nothing.
+    """
+    name = name.lower()
+    if found := _RANGES.fullmatch(name):
+        return "ranges", int(found[2]), 1.0
+    unit = _UNIT.search(name)
+    bare = name[: unit.start()] if unit else name
+    for pattern, role in _ROLES:
+        if found := pattern.fullmatch(name) or (pattern.fullmatch(bare) if unit else None):
+            factor = (
+                _UNITS.get(unit[1], 1.0) if unit and role in ("angle", "range", "time") else 1.0
+            )
+            if role in ("time", "stamp") and name.startswith(("%", "field.")):  # rostopic echo -p
+                factor = _UNITS["ns"]
+            return role or str(found[2]), 0, factor
+    return (name, 0, 1.0) if name in _BESIDE else ("", 0, 1.0)
+
+
+@dataclass
+class _Table:
+    """The lines of a table, and what is known besides."""
+
+    name: str
+    body: list[Row]
+    settings: dict[str, Any]
+    bad: BadLines
+    cut: str  #: where the line stands that does not end
+    rows: list[tuple[str, FloatArray]] = field(default_factory=list)
+
+    def read(self, names: list[str], fov: float | None) -> ScanSet:
+        """The scans, of columns that are called so, if they are."""
+        roles = [role_of(name) for name in names]
+        by = {role: i for i, (role, _, _) in reversed(list(enumerate(roles))) if role != "ranges"}
+        ranges = [i for _, i in sorted((r[1], i) for i, r in enumerate(roles) if r[0] == "ranges")]
+        if "range" in by and "angle" not in by and "theta" in by and "x" not in by:
+            by["angle"] = by.pop("theta")
+        if not ranges and {"angle", "range"} <= by.keys():
+            return self._readings(by, roles)
+        if not ranges and "angle" in by:
+            self._parse(None, names)
+            return self._columns(by["angle"], roles[by["angle"]][2])
+        if not ranges:
+            aside = [i for i, r in enumerate(roles) if r[0] or not names[i]]
+            ranges = [i for i in range(len(names)) if i not in aside]
+            _check_alike([names[i] for i in ranges], self.name)
+        used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
+        self._parse([*used, *ranges] if names else None, names)
+        if not names:
+            ranges = list(range(len(self.rows[0][1])))
+            if len(ranges) == 2 and len(self.rows) > 1 and not self.settings:
+                return self._readings({"angle": 0, "range": 1}, [("", 0, 1.0)] * 2, parsed=True)
+            if self._turns(fov):
+                return self._columns(0, 1.0)
+        if not {"time", "stamp", "seconds"} & by.keys() and ranges[:1] == [0] and self._rises():
+            by, roles, ranges = {**by, "time": 0}, [("time", 0, 1.0), *roles[1:]], ranges[1:]
+        if len(ranges) == 1 and len(self.rows) > 1:
+            expected = (
+                "a scan a line, its ranges with commas between, or two columns, angle and range"
+            )
+            found = f"{len(self.rows):,} lines of one range each"
+            raise ScanError(f"{self.name}: {found}, expected {expected}")
+        places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
+        for key, wanted in _PLACES.items():
+            if 0 < len(places[key]) < len(wanted):
+                there = ", ".join(c for c in wanted if c in by)
+                expected = f"expected all of {', '.join(wanted)} or none"
+                raise ScanError(f"{self.name}: columns {there}, {expected}")
+        if fov is not None and not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
+            self.settings["angles"] = spread(len(ranges), fov)
+        if not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
+            expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
+            raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
+        entries = list[Entry]()
+        for where, row in self.rows:
+            values = row[ranges]
+            if "angle_min" in by and np.isnan(row[by["angle_min"]]) and np.isnan(values).all():
+                continue  # of another topic
+            more = {key: row[at] if at else None for key, at in places.items()}
+            said = {key: float(row[by[key]]) for key in _SETTINGS if key in by}
+            said = {key: value for key, value in said.items() if not math.isnan(value)}
+            while "angle_min" in said and len(values) > 1 and _beyond(said, values):
+                values = values[:-1]  # a shorter scan than others
+            stamp = _stamp_of(row, by, roles)
+            entries.append(
+                (where, {**self.settings, **said, "ranges": values, "stamp": stamp, **more})
+            )
+        return collect(entries, self.name, self.bad)
+
+    def _parse(self, used: Sequence[int] | None, names: Sequence[str]) -> None:
+        """Make numbers of the cells that are used, by default all."""
+        width = len(names)
+        for where, cells in self.body:
+            try:
+                width = width or len(cells)
+                if len(cells) != width:
+                    why = ": one per name" if names else " as before"
+                    raise ScanError(f"{where}: {len(cells)} numbers, expected {width}{why}")
+                row = np.full(width, np.nan)
+                for i in range(width) if used is None else used:
+                    row[i] = number_of(cells[i], f"{where}: column {i + 1}")
+            except ScanError as error:
+                if self.rows and where == self.cut:
+                    self.bad.cut(where)
+                else:
+                    self.bad.skip(error)
+                continue
+            self.rows.append((where, row))
+        if not self.rows:
+            self.bad.check(0)
+            raise ScanError(f"{self.name}: holds no scan, expected one per line")
+
+    def _turns(self, fov: float | None) -> bool:
+        """Whether the first column holds angles, and each other one a scan."""
+        table = np.array([row for _, row in self.rows])
+        if fov is not None or self.settings.keys() & {"angles", "angle_min"} or table.shape[1] < 3:
+            return False
+        angles = _even_angles(table[:, 0], {})
+        if angles is None:
+            return False
+        around = abs(angles[-1] - angles[0]) + abs(angles[1] - angles[0])
+        return bool(angles.min() < -0.1 or abs(around - math.tau) < 0.02)
+
+    def _columns(self, at: int, unit: float) -> ScanSet:
+        """The scans of a table with a column of angles, and a column for each scan."""
+        table = np.array([row for _, row in self.rows])
+        angles = table[:, at] * unit
+        if unit == 1.0 and np.abs(angles).max() > 2 * math.tau:
+            angles = np.deg2rad(angles)
+        said = {**self.settings, "angles": angles}
+        entries: list[Entry] = [
+            (f"{self.name}: column {k + 1}", {**said, "ranges": table[:, k]})
+            for k in range(table.shape[1]) if k != at and not np.isnan(table[:, k]).all()
+        ]  # fmt: skip
+        return collect(entries, self.name, self.bad)
+
+    def _rises(self) -> bool:
+        """Whether the first column is a time: it rises from line to line, and the next does not."""
+        table = np.array([row[:2] for _, row in self.rows])
+        if len(table) < 2 or table.shape[1] < 2 or np.isnan(table[:, 0]).any():
+            return False
+        steps = np.diff(table, axis=0)
+        rises = [bool((s >= 0).all() and 2 * np.count_nonzero(s) > len(s)) for s in steps.T]
+        if not table[0, 0] > _EPOCH and (rises != [True, False] or len(table) < 4):
+            return False
+        text = "the first column rises from line to line: it is taken for the time, not for a range"
+        _LOG.warning("%s: %s", self.name, text, extra={"code": "time-column"})
+        return True
+
+    def _readings(
+        self,
+        by: Mapping[str, int],
+        roles: Sequence[tuple[str, int, float]],
+        *,
+        parsed: bool = False,
+    ) -> ScanSet:
+        """The scans of a table with a reading a line."""
+        which = next((key for key in ("scan", "stamp", "time") if key in by), None)
+        if not parsed:
+            keys = [k for k in ("angle", "range", which, "seconds", "nanoseconds") if k in by]
+            self._parse([by[k] for k in keys if k], [role for role, _, _ in roles])
+        self.bad.check(len(self.rows))
+        table = np.array([row for _, row in self.rows])
+        angles, ranges = (table[:, by[k]] * roles[by[k]][2] for k in ("angle", "range"))
+        degrees = (
+            roles[by["angle"]][2] == 1 and float(np.nanmax(np.abs(angles), initial=0)) > 4 * math.pi
+        )
+        if degrees and np.nanmax(np.abs(angles)) <= 720:
+            text = "the angles are beyond two turns in radians: they are taken for degrees"
+            _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
+            angles = np.deg2rad(angles)
+        starts = _starts(table[:, by[which]] if which else None, angles)
+        entries = list[Entry]()
+        for a, b in itertools.pairwise([*starts, len(table)]):
+            stamp = _stamp_of(self.rows[a][1], by, roles) if which != "scan" else None
+            where = self.name if len(starts) == 1 else self.rows[a][0]
+            found = {"angles": angles[a:b], "ranges": ranges[a:b], "stamp": stamp}
+            entries.append((where, {**self.settings, **found}))
+        return collect(entries, self.name, self.bad if len(starts) > 1 else None)
+
+    def echoed(self) -> ScanSet:
+        """The scans of what ``ros2 topic echo --csv`` prints: the fields without their names."""
+        keys = (
+            "angle_min",
+            "angle_max",
+            "angle_increment",
+            "time_increment",
+            "",
+            "range_min",
+            "range_max",
+        )
+        entries = list[Entry]()
+        for where, cells in self.body:
+            try:
+                row = [
+                    number_of(c, f"{where}: column {i}") for i, c in enumerate(cells, 1) if i != 3
+                ]
+                said = {key: row[2 + k] for k, key in enumerate(keys) if key}
+                rays, count = row[_ECHO - 1 :], _rays_of(said)
+                if abs(count - len(rays)) > 1:  # intensities follow
+                    count = len(rays) // 2 if abs(2 * count - len(rays)) <= 2 else len(rays)
+                stamp = row[0] + 1e-9 * row[1]
+                ranges = np.array(rays[:count])
+                entries.append((where, {**said, "ranges": ranges, "stamp": stamp}))
+            except (ScanError, ZeroDivisionError, IndexError) as error:
+                if entries and where == self.cut:
+                    self.bad.cut(where)
+                else:
+                    self.bad.skip(ScanError(str(error)))
+        return collect(entries, self.name, self.bad)
+
+
+def _is_echo(cells: Sequence[str]) -> bool:
+    """Whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
+    numbers = [_is_number(cell) for cell in cells[: _ECHO + 1]]
+    return len(cells) > _ECHO and numbers == [True] * 2 + [False] + [True] * (_ECHO - 2)
+
+
+def _rays_of(said: Mapping[str, float]) -> int:
+    return 1 + round((said["angle_max"] - said["angle_min"]) / said["angle_increment"])
+
+
+def _beyond(said: Mapping[str, float], values: FloatArray) -> bool:
+    """Whether the last cell is empty, and beyond the last ray that the line names."""
+    if not {"angle_max", "angle_increment"} <= said.keys() or not said["angle_increment"]:
+        return False
+    return bool(np.isnan(values[-1])) and len(values) > _rays_of(said)
+
+
+def _stamp_of(
+    row: FloatArray, by: Mapping[str, int], roles: Sequence[tuple[str, int, float]]
+) -> float | None:
+    """The stamp of a line in seconds: that of the header, else the time in whichever unit."""
+    stamp = math.nan
+    if "seconds" in by:
+        stamp = row[by["seconds"]] + 1e-9 * (row[by["nanoseconds"]] if "nanoseconds" in by else 0)
+    for key in ("stamp", "time"):
+        if key in by and not stamp > 0:
+            value = row[by[key]] * roles[by[key]][2]
+            stamp = value * next((unit for least, unit in _EPOCHS if value > least), 1.0)
+    return None if math.isnan(stamp) else float(stamp)
+
+
+def _angle_row(body: Sequence[Row], settings: Mapping[str, Any]) -> FloatArray | None:
+    """The angles in the first of several lines, radians, after at most three other cells."""
+    cells = body[0][1]
+    lead = next((k for k, cell in enumerate(cells) if cell and _is_number(cell)), 0)
+    if len(body) < 2 or lead > 3 or not all(c and _is_number(c) for c in cells[lead:]):
+        return None
+    row = np.array([float(cell) for cell in cells[lead:]])
+    return _even_angles(row, settings)
+
+
+def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | None:
+    """Numbers as angles in radians, if they rise or fall evenly and no ranges would; else None."""
+    if len(row) < _EVEN or not np.isfinite(row).all():
+        return None
+    even, whole = np.linspace(row[0], row[-1], len(row)), abs(row[-1] - row[0])
+    step = whole / (len(row) - 1)
+    off = np.abs(row - even).max() / max(step, 1e-9)  # of rounded angles up to a half
+    if off > (1 if len(row) > _MANY else 0.1) or ("angle_min" in settings and row.min() >= 0):
+        return None
+    if whole <= math.tau + 0.1 and np.abs(row).max() <= math.tau + 0.1:
+        return row
+    return np.deg2rad(row) if whole <= 366 and np.abs(row).max() <= 366 else None
+
+
+def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
+    """Where the scans begin of readings one after the other: the key changes, or angles go back."""
+    if keys is not None and len(np.unique(keys)) < len(keys) / 2:
+        return [0, *(1 + np.flatnonzero(np.diff(keys) != 0)).tolist()]
+    steps = np.diff(angles)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    back = steps * np.sign(usual) < -max(math.pi / 4, 10 * abs(usual))
+    return [0, *(1 + np.flatnonzero(back)).tolist()]
+
+
+def _check_alike(columns: Sequence[str], name: str) -> None:
+    """ScanError if most columns have one name and a number, such as r0, and others do not.
+
+    Else a time or a heading would be a range, and all rays after it would have a wrong angle.
+    """
+    stems = [re.sub(r"[-+.\d]+", "", column) for column in columns]
+    usual, count = max(Counter(stems).items(), key=lambda item: item[1], default=("", 0))
+    others = [column for column, stem in zip(columns, stems, strict=True) if stem != usual]
+    if count > len(others) > 0:
+        like = columns[stems.index(usual)]
+        expected = f"the other columns are ranges such as {like}; expected {', '.join(_BESIDE)}"
+        raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected} besides")
+
+
+def _is_number(cell: str) -> bool:
+    with contextlib.suppress(ValueError):
+        float(cell)
+        return True
+    return not cell

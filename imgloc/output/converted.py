@@ -1,0 +1,163 @@
+"""Scans in the form of another file: CSV, JSON lines, NPZ, or MCAP with the messages of ROS 2.
+
+All are read back by :func:`imgloc.load_scans`.
+
+>>> from imgloc.model import LaserScan
+>>> print(csv_of(ScanSet((LaserScan([1.0, np.inf], [0.0, 0.5], 0.1, 9.0),))), end="")
+# angle_min=0.0, angle_max=0.5, range_min=0.1, range_max=9.0
+r0,r1
+1.0,inf
+"""
+
+import json
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import ConfigError, OutputError
+from imgloc.io.files import PathLike, display, write_bytes_atomic
+from imgloc.io.messages import scan_to_msg
+from imgloc.io.scans import write_npz
+from imgloc.io.scanset import ScanSet
+
+_ANY = "JSON lines hold such scans: end the name in .jsonl"
+_TOPICS = {
+    "/scan": "sensor_msgs/msg/LaserScan", "/odom": "nav_msgs/msg/Odometry",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+}  # fmt: skip
+_LIMITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min",
+           "range_max")  # fmt: skip
+
+
+def convert(scans: ScanSet, path: PathLike, *, force: bool = False) -> None:
+    """Write scans in the form that the ending of the name says; see :data:`FORMS`.
+
+    Raises
+    ------
+    ConfigError
+        If the form cannot hold these scans, or there is no such form.
+    OutputError
+        If there is a file already, unless `force`, or it cannot be written.
+    """
+    form = FORMS.get(Path(path).suffix.lower())
+    if form is None:
+        raise ConfigError(f"{display(path)}: expected a name that ends in {', '.join(FORMS)}")
+    data = form(scans)
+    write_bytes_atomic(path, data if isinstance(data, bytes) else data.encode(), force=force)
+
+
+def csv_of(scans: ScanSet) -> str:
+    """One scan a line; ConfigError if their angles or limits differ, or are not evenly spaced."""
+    first = scans[0]
+    about = [(scan.range_min, scan.range_max, scan.time_increment) for scan in scans.scans]
+    even = np.linspace(first.angles[0], first.angles[-1], len(first.angles))
+    alike = all(np.array_equal(scan.angles, first.angles) for scan in scans.scans)
+    if not alike or len(set(about)) > 1 or not np.allclose(first.angles, even, atol=1e-6):
+        raise ConfigError(f"CSV: one line has angles and limits for all scans; {_ANY}")
+    keys = ("range_min", "range_max", "time_increment")
+    said = {"angle_min": float(first.angles[0]), "angle_max": float(first.angles[-1])}
+    said |= {key: float(v) for key, v in zip(keys, about[0], strict=True) if v and v != math.inf}
+    beside = {
+        "stamp": scans.stamps,
+        "x,y,theta": scans.poses,
+        "odom_x,odom_y,odom_theta": scans.odom,
+    }
+    there = {key: array for key, array in beside.items() if array is not None}
+    lines = ["# " + ", ".join(f"{key}={value}" for key, value in said.items())]
+    lines.append(",".join([*there, *(f"r{k}" for k in range(len(first.ranges)))]))
+    table = np.column_stack([*there.values(), np.stack([scan.ranges for scan in scans.scans])])
+    return "\n".join([*lines, *(",".join(map(repr, row)) for row in table.tolist())]) + "\n"
+
+
+def jsonl_of(scans: ScanSet) -> str:
+    """An object a line, with the names of sensor_msgs/LaserScan."""
+    lines = list[str]()
+    for k, scan in enumerate(scans.scans):
+        mount = scan.T_base_laser
+        entry: dict[str, Any] = {
+            "stamp": None if math.isnan(scan.stamp) else scan.stamp,
+            "angles": scan.angles.tolist(), "range_min": scan.range_min,
+            "range_max": scan.range_max, "time_increment": scan.time_increment or None,
+            "pose": None if scans.poses is None else scans.poses[k].tolist(),
+            "odom": None if scans.odom is None else scans.odom[k].tolist(),
+            "mount": None if mount is None else list(mount), "ranges": scan.ranges.tolist(),
+        }  # fmt: skip
+        lines.append(json.dumps({key: _plain(v) for key, v in entry.items() if v is not None}))
+    return "\n".join(lines) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """A value without the numbers that JSON lacks."""
+    if isinstance(value, list):
+        return None if all(v != v for v in value) and len(value) == 3 else [*map(_plain, value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value
+
+
+def mcap_of(scans: ScanSet) -> bytes:
+    """A recording of ROS 2 with /scan, and /odom and /tf_static where they are known.
+
+    A log without stamps has a scan a second. Known poses have no topic.
+    """
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise OutputError("MCAP needs rosbags: pip install 'imgloc[ros]'") from None
+    store = get_typestore(Stores.ROS2_HUMBLE)
+
+    def made(kind: str, *values: Any) -> Any:
+        return store.types[kind.replace("/", "/msg/")](*values)
+
+    def vector(x: float = 0.0, y: float = 0.0, kind: str = "Vector3") -> Any:
+        return made(f"geometry_msgs/{kind}", x, y, 0.0)
+
+    def turn(theta: float) -> Any:
+        return made("geometry_msgs/Quaternion", 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
+
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder, "scans")
+        with Writer(place, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+            to = {t: bag.add_connection(t, kind, typestore=store) for t, kind in _TOPICS.items()}
+            for k, scan in enumerate(scans.scans):
+                seconds = scan.stamp if math.isfinite(scan.stamp) else float(k + 1)
+                fields = scan_to_msg(replace(scan, stamp=seconds))
+                stamp = made("builtin_interfaces/Time", *fields["header"]["stamp"].values())
+
+                def write(topic: str, message: Any, at: float = seconds) -> None:
+                    data = store.serialize_cdr(message, _TOPICS[topic])
+                    bag.write(to[topic], round(1e9 * at), bytes(data))
+
+                limits = (float(fields[key]) for key in _LIMITS)
+                ranges, none = np.array(fields["ranges"], np.float32), np.zeros(0, np.float32)
+                header = made("std_msgs/Header", stamp, "laser")
+                write("/scan", made("sensor_msgs/LaserScan", header, *limits, ranges, none))
+                if k == 0 and (mount := scan.T_base_laser) is not None:
+                    header = made("std_msgs/Header", stamp, "base_link")
+                    link = made(
+                        "geometry_msgs/Transform", vector(mount.x, mount.y), turn(mount.theta)
+                    )
+                    link = made("geometry_msgs/TransformStamped", header, "laser", link)
+                    write("/tf_static", made("tf2_msgs/TFMessage", [link]))
+                if scans.odom is not None and np.isfinite(scans.odom[k]).all():
+                    x, y, theta = scans.odom[k].tolist()
+                    pose = made("geometry_msgs/Pose", vector(x, y, "Point"), turn(theta))
+                    pose = made("geometry_msgs/PoseWithCovariance", pose, np.zeros(36))
+                    twist = made("geometry_msgs/Twist", vector(), vector())
+                    twist = made("geometry_msgs/TwistWithCovariance", twist, np.zeros(36))
+                    header = made("std_msgs/Header", stamp, "odom")
+                    write("/odom", made("nav_msgs/Odometry", header, "base_link", pose, twist))
+        (file,) = place.glob("*.mcap")
+        return file.read_bytes()
+
+
+FORMS: Mapping[str, Callable[[ScanSet], str | bytes]] = {
+    ".csv": csv_of, ".jsonl": jsonl_of, ".npz": write_npz, ".mcap": mcap_of,
+}  # fmt: skip
+"""What makes the bytes or the text of each form, by the ending of the name."""

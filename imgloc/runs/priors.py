@@ -1,0 +1,85 @@
+"""What is known of a pose before the scan is looked at, for scripts: ``Options(prior=...)``.
+
+>>> wall = np.pad(np.zeros((8, 9), bool), 1, constant_values=True)
+>>> grid = OccupancyGrid(wall, ~wall, 0.5)
+>>> here = near(grid, 2.0, 2.0, 0.0, radius=1.0) & region(grid, ~wall)
+>>> int(here.cells.sum()), here.heading
+(12, (0.0, 0.8))
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.files import PathLike
+from imgloc.model import BoolArray, OccupancyGrid
+from imgloc.options import RADIUS, TOLERANCE, Known, Prior
+from imgloc.runs.localize import region_of
+from imgloc.search.priors import prior_of
+
+
+def near(
+    place: OccupancyGrid | MapFeatures, x: float, y: float, theta: float, *,
+    radius: float = RADIUS, tolerance: float = TOLERANCE,
+) -> Prior:  # fmt: skip
+    """Make the prior of a pose that is roughly known, as --near does.
+
+    Parameters
+    ----------
+    place : OccupancyGrid or MapFeatures
+        The map.
+    x, y, theta : float
+        The pose of the sensor in the map frame: metres, metres, radians.
+    radius, tolerance : float
+        How far it may be off: metres, radians.
+
+    Returns
+    -------
+    Prior
+        For ``Options(prior=...)``; with ``&`` it is joined with another one.
+
+    Raises
+    ------
+    ConfigError
+        If a number is out of its range.
+    """
+    return prior_of(Known(near=(x, y, theta, radius, tolerance)), _grid(place))
+
+
+def region(
+    place: OccupancyGrid | MapFeatures, cells: BoolArray | PathLike, *, allow_lossy: bool = False
+) -> Prior:
+    """Make the prior of a part of the map, as --region does.
+
+    Parameters
+    ----------
+    place : OccupancyGrid or MapFeatures
+        The map.
+    cells : (H, W) bool array, or path
+        Where the sensor may be, row 0 the lowest y; or an image as large as the map's, white there.
+    allow_lossy : bool
+        Accept an image with lossy compression.
+
+    Returns
+    -------
+    Prior
+        For ``Options(prior=...)``; with ``&`` it is joined with another one.
+
+    Raises
+    ------
+    ConfigError
+        If the size is not that of the map, or nothing is white.
+    """
+    grid = _grid(place)
+    if not isinstance(cells, np.ndarray):
+        cells = region_of(Path(str(cells)), grid, allow_lossy=allow_lossy)
+    if cells.shape != grid.occupied.shape or cells.dtype != bool:
+        found = f"{cells.dtype} {cells.shape}"
+        raise ConfigError(f"cells: got {found}, expected bool {grid.occupied.shape} as the map")
+    return Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+
+
+def _grid(place: OccupancyGrid | MapFeatures) -> OccupancyGrid:
+    return place.grid if isinstance(place, MapFeatures) else place

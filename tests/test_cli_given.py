@@ -1,0 +1,88 @@
+"""An option wins over a value of a file that cannot be, and the error of the file names it."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call
+
+from imgloc.io.scans import load_scans
+
+WRONG = {
+    "--origin 0,0,0": "origin: [0, 0, -nan]",
+    "--origin 0,0,90deg": "origin: [0, 0, 90]",
+    "--origin 1,2,0": "origin: here",
+    "--resolution 0.1": "resolution: 0",
+    "--resolution 0.10": "resolution: 0.05 m",
+    "--resolution 0.100": "resolution: 0,05",
+    "--occupied-thresh 0.65": "occupied_thresh: 65",
+    "--free-thresh 0.196": "free_thresh: 19.6 %",
+    "--mode trinary": "mode: costmap",
+    "--no-negate": "negate: '0'",
+    "--negate": "negate: maybe",
+}
+
+
+@pytest.mark.parametrize("option", WRONG)
+def test_an_option_wins_over_a_value_of_a_map_that_cannot_be(option: str, tmp_path: Path) -> None:
+    shutil.copy(MAPS / "curved.png", tmp_path)
+    said = {"image": "curved.png", "resolution": "0.1", "origin": "[0, 0, 0]"}
+    key, _, value = WRONG[option].partition(": ")
+    path = tmp_path / "a.yaml"
+    path.write_text("\n".join(f"{k}: {v}" for k, v in {**said, key: value}.items()))
+    refused = call("map", "check", path)
+    assert refused.code == 3
+    flag = option.split()[0].replace("--no-", "--")
+    assert f"; or pass {flag}" in refused.err
+    for command in ("map check", "inspect"):
+        run = call(*command.split(), path, *option.split())
+        assert run.code == 0, run
+    run = call("simulate", path, "-n", 1, "--out", tmp_path / "a.npz", *option.split())
+    assert run.code == 0, run
+
+
+RANGES = np.linspace(1.0, 2.0, 181)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, 0.01, float("nan"), "12 m", "unknown"])
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "json", "npz", "yaml"])
+def test_range_max_wins_over_one_that_cannot_be(kind: str, bad: object, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{kind}"
+    fields = {"angle_min": -1.5, "angle_max": 1.5, "range_min": 0.05, "range_max": bad}
+    lists = ",".join(f"{r:g}" for r in RANGES)
+    if kind == "npz":
+        if isinstance(bad, str):
+            pytest.skip("an array of numbers has no words")
+        angles = np.linspace(-1.5, 1.5, 181)
+        np.savez(path, ranges=RANGES, angles=angles, range_max=bad, range_min=0.05)
+    elif kind == "csv":
+        said = ", ".join(f"{k}={str(v).replace(' ', '')}" for k, v in fields.items())
+        path.write_text(f"# {said}\n{lists}\n")
+    elif kind == "yaml":
+        said = "".join(f"{k}: {v}\n" for k, v in fields.items()).replace(": nan", ": .nan")
+        path.write_text(f"{said}ranges: [{lists}]\n---\n")
+    else:
+        path.write_text(json.dumps({**fields, "ranges": RANGES.tolist()}))
+    refused = call("inspect", path)
+    assert refused.code == 4
+    assert "range_max: got" in refused.err
+    assert "; or pass --range-max" in refused.err
+    mended = call("inspect", path, "--range-max", 12)
+    assert mended.code == 0, mended
+    assert "range_max 12 m" in mended.out
+    millimetres = call("inspect", path, "--range-max", 12, "--range-scale", 0.001)
+    assert "range_max 12 m" in millimetres.out
+
+
+def test_angles_that_contradict_each_other_may_be_stated(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    said = {"angle_min": 3.14, "angle_max": -3.14, "angle_increment": 0.1, "ranges": [1.0] * 60}
+    path.write_text(json.dumps(said))
+    run = call("inspect", path)
+    assert (run.code, "or pass --fov-deg" in run.err) == (4, True)
+    assert "-180 to 174 degrees" in call("inspect", path, "--fov-deg", 360).out
+    np.testing.assert_allclose(
+        load_scans(path, fov=np.pi)[0].angles[[0, -1]], [-np.pi / 2, np.pi / 2]
+    )

@@ -1,0 +1,198 @@
+"""Tables that others write: columns are understood by their names and by what they hold."""
+
+import json
+import logging
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import call
+
+from imgloc.errors import ScanError
+from imgloc.io.scans import load_scans
+from imgloc.io.scanset import ScanSet
+
+N, RAYS = 6, 36
+ANGLES = np.linspace(-np.pi / 2, np.pi / 2, RAYS)
+RANGES = np.random.default_rng(3).uniform(1, 9, (N, RAYS)).round(3)
+STEP = ANGLES[1] - ANGLES[0]
+STAMPS = 1.7e9 + 0.1 * np.arange(N)
+FIELDS = {
+    "angle_min": ANGLES[0], "angle_max": ANGLES[-1], "angle_increment": STEP,
+    "time_increment": 0.0, "scan_time": 0.1, "range_min": 0.05, "range_max": 12.0,
+}  # fmt: skip
+
+
+def table(head: list[str], rows: list[list[object]], mark: str = ",") -> str:
+    lines = [head] * bool(head) + rows
+    return "".join(mark.join(str(cell) for cell in line) + "\n" for line in lines)
+
+
+def exported(kind: str) -> str:
+    """The scans as a table of somebody's."""
+    fields, n = list(FIELDS.items()), range(RAYS)
+    ns = [round(1e9 * t) for t in STAMPS]
+    values = [value for _, value in fields]
+    if kind == "rostopic -p":
+        names = ["seq", "stamp", "frame_id", *FIELDS, *(f"ranges{k}" for k in n)]
+        names += [f"intensities{k}" for k in n]
+        rows = [[t, k, t, "laser", *values, *RANGES[k], *[47] * RAYS] for k, t in enumerate(ns)]
+        return table(
+            ["%time", *(f"field.{'header.' * (k < 3)}{w}" for k, w in enumerate(names))], rows
+        )
+    if kind == "rostopic -p of simulated time":
+        return exported("rostopic -p").replace("1700000000", "0000002000").replace("\n0", "\n")
+    if kind == "ros2 --csv":
+        return table([], [[t // 10**9, t % 10**9, "base_scan", *values, *RANGES[k]]
+                          for k, t in enumerate(ns)])  # fmt: skip
+    if kind == "ros2 --csv with intensities":
+        return table([], [[t // 10**9, t % 10**9, "base_scan", *values, *RANGES[k], *[0.0] * RAYS]
+                          for k, t in enumerate(ns)])  # fmt: skip
+    if kind == "bagpy":
+        head = ["Time", "header.seq", "header.stamp.secs", "header.stamp.nsecs", "header.frame_id",
+                *FIELDS, *(f"ranges_{k}" for k in n), *(f"intensities_{k}" for k in n)]  # fmt: skip
+        stamps = [[STAMPS[k] + 0.03, k, t // 10**9, t % 10**9, "laser"] for k, t in enumerate(ns)]
+        return table(head, [[*row, *values, *RANGES[k], *n] for k, row in enumerate(stamps)])
+    if kind == "plotjuggler":
+        names = [*FIELDS, "header/stamp", *(f"ranges[{k}]" for k in n)]
+        head = ["__time", "/odom/pose/pose/position/x", *(f"/scan/{w}" for w in names)]
+        rows = [[t, "", *values, t, *RANGES[k]] for k, t in enumerate(STAMPS)]
+        other = [[t + 0.01, 5.5, *[""] * len(names)] for t in STAMPS]
+        return table(head, [row for pair in zip(rows, other, strict=True) for row in pair])
+    if kind == "pandas":
+        head = ["", "timestamp_ms", *(f"range_{k}" for k in n)]
+        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}, range_max=12\n"
+        return said + table(head, [[k, 1000 * t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+    if kind == "angles first, time first":
+        return table(["", *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+    if kind == "angles first in degrees":
+        return table(["time", *np.rad2deg(ANGLES).round(4)],
+                     [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])  # fmt: skip
+    if kind == "rounded angles first":
+        fine = np.linspace(-np.pi / 2, np.pi / 2, 361).round(2)
+        return table(["", *fine], [[t, *np.resize(RANGES[k], 361)] for k, t in enumerate(STAMPS)])
+    if kind == "names that say nothing":
+        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+        head = [f"Var{k + 1}" for k in range(RAYS + 1)]
+        return said + table(head, [[0.1 * k, *RANGES[k]] for k in range(N)])
+    if kind == "angles down":
+        return table([], [[a, *RANGES[:, k]] for k, a in enumerate(ANGLES)])
+    if kind == "angles down by name":
+        return table(["angle_deg", *(f"scan{k}" for k in range(N))],
+                     [[math.degrees(a), *RANGES[:, k]] for k, a in enumerate(ANGLES)])  # fmt: skip
+    if kind in ("a reading a line", "a reading a line by semicolons"):
+        head, mark = ["timestamp", "angle_deg", "distance_mm", "quality"], ","
+        rows = [[t, math.degrees(a), 1000 * r, 47] for t, scan in zip(STAMPS, RANGES, strict=True)
+                for a, r in zip(ANGLES, scan, strict=True)]  # fmt: skip
+        if "semicolons" in kind:
+            head, mark = ["Scan", "Angle (deg)", "Distance [cm]"], ";"
+            rows = [[k, f"{math.degrees(a):.6f}", f"{100 * r:.1f}"] for k, scan in enumerate(RANGES)
+                    for a, r in zip(ANGLES, scan, strict=True)]  # fmt: skip
+            return table(head, rows, mark).replace(".", ",")
+        return table(head, rows, mark)
+    if kind == "a reading a line without names":
+        return table(
+            [], [[a, r] for scan in RANGES for a, r in zip(ANGLES, scan, strict=True)], "\t"
+        )
+    if kind in ("blanks", "tabs"):
+        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+        return said + table([], RANGES.tolist(), "  " if kind == "blanks" else "\t")
+    if kind == "time first":
+        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+        return said + table([], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+    assert kind == "savetxt"
+    head = f"# t {' '.join(f'r{k}' for k in n)}\n# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+    return head + table([], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)], " ")
+
+
+KINDS = [
+    "rostopic -p", "rostopic -p of simulated time", "ros2 --csv", "ros2 --csv with intensities",
+    "bagpy", "plotjuggler", "pandas", "angles first, time first", "angles first in degrees",
+    "angles down", "angles down by name", "a reading a line", "a reading a line by semicolons",
+    "a reading a line without names", "blanks", "tabs", "time first", "savetxt",
+]  # fmt: skip
+
+
+def loaded(folder: Path, text: str) -> ScanSet:
+    path = folder / "a.csv"
+    path.write_text(text)
+    return load_scans(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_table_of_somebody_is_read(tmp_path: Path, kind: str) -> None:
+    scans = loaded(tmp_path, exported(kind))
+    assert len(scans) == N
+    np.testing.assert_allclose([scan.ranges for scan in scans.scans], RANGES, atol=1e-3)
+    np.testing.assert_allclose([scan.angles for scan in scans.scans], [ANGLES] * N, atol=1e-5)
+    if "down" in kind or "semicolons" in kind or "names" in kind or kind in ("blanks", "tabs"):
+        assert scans.stamps is None
+    else:
+        assert scans.stamps is not None
+        first = 2000.0 if "simulated" in kind else STAMPS[0]
+        np.testing.assert_allclose(scans.stamps - first, STAMPS - STAMPS[0], atol=1e-3)
+
+
+def test_what_is_guessed_of_a_table_is_said(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    loaded(tmp_path, exported("time first"))
+    assert "the first column rises from line to line: it is taken for the time" in caplog.text
+    degrees = [[math.degrees(a), r] for a, r in zip(ANGLES, RANGES[0], strict=True)]
+    (scan,) = loaded(tmp_path, table([], degrees)).scans
+    np.testing.assert_allclose(scan.angles, ANGLES)
+    assert "they are taken for degrees" in caplog.text
+
+
+def test_ranges_that_rise_are_no_angles_and_no_time(tmp_path: Path) -> None:
+    said = "# angle_min=-1, angle_max=1\n"
+    rising = np.linspace(1, 2, RAYS) + np.arange(4)[:, None]
+    assert loaded(tmp_path, said + table([], rising.tolist()))[0].ranges[-1] == 2
+    few = [[3.1, 5, 6], [3.2, 4, 7]]
+    assert len(loaded(tmp_path, said + table([], few))[0].ranges) == 3
+
+
+@pytest.mark.parametrize("kind", ["rostopic -p", "ros2 --csv", "a reading a line", "plotjuggler"])
+def test_a_broken_line_of_a_table_is_left_out(tmp_path: Path, kind: str) -> None:
+    lines = exported(kind).splitlines()
+    lines[len(lines) // 2] = lines[len(lines) // 2].replace(f"{RANGES[3, 0]}", "far", 1)
+    if kind == "a reading a line":
+        lines[5] = "?,far,?,?"
+    (tmp_path / "a.csv").write_text("\n".join(lines[:-1] + [lines[-1][:40]]))
+    scans = load_scans(tmp_path / "a.csv", max_bad=0.3)
+    assert N - 2 <= len(scans) <= N
+
+
+def test_tables_go_through_the_command(shared: Path) -> None:
+    cases = shared / "cases"
+    for name in ("11-csv-exports/n_rostopic_p.csv", "11-csv-exports/n2_ros2_csv.csv",
+                 "11-csv-exports/n3_bagpy.csv", "12-time-and-angles-read-as-ranges/"
+                 "n5_first_row_angles.csv"):  # fmt: skip
+        run = call("inspect", cases / name, "--json", "--fov-deg", 180)
+        row = json.loads(run.out)
+        assert (row["scans"], row["rays"]) == (6, 181 if "n5" in name else 360)
+        assert row["stamps"]["seconds"] == pytest.approx(1.0)
+
+
+def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Path) -> None:
+    with pytest.raises(ScanError, match="angles: missing, expected a first line '# angle_min="):
+        loaded(tmp_path, table([], RANGES.tolist()))
+
+
+def test_angles_that_were_rounded_and_a_time_without_a_name(tmp_path: Path) -> None:
+    scans = loaded(tmp_path, exported("rounded angles first"))
+    assert len(scans) == N
+    np.testing.assert_allclose(scans[0].angles, np.linspace(-np.pi / 2, np.pi / 2, 361), atol=0.006)
+    scans = loaded(tmp_path, exported("names that say nothing"))
+    assert len(scans[0].ranges) == RAYS
+    assert scans.stamps is not None
+    np.testing.assert_allclose(scans.stamps, 0.1 * np.arange(N))
+
+
+@pytest.mark.parametrize("said", ["angle_min=-90, angle_max=90", "angle_min=nan, angle_max=1"])
+def test_a_view_that_is_stated_wins_over_angles_that_cannot_be(tmp_path: Path, said: str) -> None:
+    (tmp_path / "a.csv").write_text(f"# {said}\n" + table([], RANGES.tolist()))
+    with pytest.raises(ScanError, match=r"angle.*; or pass `fov`"):
+        load_scans(tmp_path / "a.csv")
+    scans = load_scans(tmp_path / "a.csv", fov=np.pi)
+    np.testing.assert_allclose(scans[0].angles, ANGLES)

@@ -1,0 +1,101 @@
+"""Scans as JSON of other programs: what they are wrapped in, and what their fields are called."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command import call
+
+from imgloc.errors import ScanError
+from imgloc.io.scans import load_scans
+
+N, RANGES = 4, [1.5, 2.5, 3.5]
+ANGLES = [-0.5, 0.0, 0.5]
+
+
+def message(k: int, seconds: str = "sec", rest: str = "nanosec") -> dict[str, Any]:
+    stamp = {seconds: 1_700_000_000 + k, rest: 500_000_000}
+    return {
+        "header": {"stamp": stamp, "frame_id": "laser"}, "angle_min": -0.5, "angle_max": 0.5,
+        "angle_increment": 0.5, "range_min": 0.1, "range_max": 9.0, "ranges": RANGES,
+    }  # fmt: skip
+
+
+def foxglove(k: int, stamp: object) -> dict[str, Any]:
+    pose = {"position": {"x": 0, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
+    return {"timestamp": stamp, "frame_id": "laser", "pose": pose, "start_angle": -0.5,
+            "end_angle": 0.5, "ranges": RANGES, "intensities": []}  # fmt: skip
+
+
+def camel(entry: dict[str, Any]) -> dict[str, Any]:
+    def name(key: str) -> str:
+        first, *more = key.split("_")
+        return first + "".join(word.title() for word in more)
+
+    return {name(key): value for key, value in entry.items()}
+
+
+def csm(k: int) -> dict[str, Any]:
+    return {"nrays": 3, "min_theta": -0.5, "max_theta": 0.5, "theta": ANGLES, "valid": [1, 1, 0],
+            "readings": [1.5, 2.5, None], "odometry": [k, 0.5, 0.1], "true_pose": [None] * 3,
+            "timestamp": [1_700_000_000 + k, 500_000]}  # fmt: skip
+
+
+FORMS = {
+    "rosbridge": lambda k: {"op": "publish", "topic": "/scan", "msg": message(k, "secs", "nsecs")},
+    "data": lambda k: {"data": message(k)},
+    "foxglove": lambda k: foxglove(k, {"sec": 1_700_000_000 + k, "nsec": 500_000_000}),
+    "protobuf": lambda k: camel(foxglove(k, f"2023-11-14T22:13:{20 + k}.500Z")),
+    "mcap": lambda k: {"topic": "/scan", "log_time": 5, "message": camel(message(k))},
+    "nanoseconds": lambda k: {
+        **message(k), "header": {}, "timestamp": 10**9 * (1_700_000_000 + k) + 5 * 10**8
+    },
+    "csm": csm,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("whole", ["lines", "lines called .json", "array", "object"])
+def test_json_of_other_programs(tmp_path: Path, form: str, whole: str) -> None:
+    entries = [FORMS[form](k) for k in range(N)]
+    path = tmp_path / ("a.jsonl" if whole == "lines" else "a.json")
+    texts = {"array": json.dumps(entries, indent=1), "object": json.dumps({"scans": entries})}
+    path.write_text(texts.get(whole, "\n".join(map(json.dumps, entries)) + "\n"))
+    scans = load_scans(path)
+    assert len(scans) == N
+    expected = [1.5, 2.5, math.nan] if form == "csm" else RANGES
+    np.testing.assert_array_equal(scans[1].ranges, expected)
+    np.testing.assert_allclose(scans[1].angles, ANGLES)
+    assert scans.stamps is not None
+    np.testing.assert_allclose(scans.stamps, 1_700_000_000.5 + np.arange(N))
+    assert scans.poses is None
+    assert (scans.odom is not None) == (form == "csm")
+
+
+def test_other_topics_of_rosbridge_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    odom = {"op": "publish", "topic": "/odom", "msg": {"pose": {}}}
+    scans = [FORMS["rosbridge"](k) for k in range(N)]
+    path.write_text("\n".join(map(json.dumps, [odom, *scans, odom])))
+    assert len(load_scans(path)) == N
+    other = {**scans[0], "topic": "/rear"}
+    path.write_text("\n".join(map(json.dumps, [*scans, other])))
+    with pytest.raises(ScanError, match="scans of several topics, /rear, /scan; keep the lines"):
+        load_scans(path)
+
+
+def test_one_bad_scan_of_an_array_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps([*[message(k) for k in range(200)], 5]))
+    assert len(load_scans(path)) == 200
+
+
+def test_wrapped_json_goes_through_the_command(shared: Path) -> None:
+    for name, rays in (("o_rosbridge.jsonl", 360), ("r_csm.json", 181)):
+        run = call("inspect", shared / "cases" / "17-json-wrappers" / name, "--json")
+        row = json.loads(run.out)
+        assert (row["scans"], row["rays"]) == (6, rays)
+        assert "odometry-units" not in run.out
