@@ -98,9 +98,8 @@ def localize(
     options : Options, optional
         Method, prior and limits of the search. By default the whole map is searched.
     stack : Likelihood or Stack, optional
-        Stack of this method, map and scan from :func:`likelihood`, to save computing it again; or
-        one of a method of your own, or a function that makes it: see
-        :class:`~imgloc.likelihoods.stacks.Stack`.
+        Stack of this method, map and scan from :func:`likelihood`, or of a method of your own, or
+        a function that makes it: see :class:`~imgloc.likelihoods.stacks.Stack`.
 
     Returns
     -------
