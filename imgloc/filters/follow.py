@@ -286,7 +286,7 @@ class Follower:
 
         A pose outside of the map raises a ConfigError, which names the argument `given`.
         """
-        self.filter.place(_local(given, pose, self.features), deviation)
+        self.filter.place(on_map(given, pose, self.features), deviation)
 
     def step(
         self,
@@ -523,7 +523,7 @@ def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
 
 def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> None:
     """Raise a ConfigError for a kidnapping outside of the map or of the log's time."""
-    _local("kidnap", kidnap.pose, features)
+    on_map("kidnap", kidnap.pose, features)
     since = stamps - stamps[0]
     latest = float(np.max(since, initial=-np.inf, where=np.isfinite(since)))
     if not 0 <= kidnap.after <= latest:
@@ -531,7 +531,7 @@ def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> 
         raise ConfigError(f"kidnap: got {kidnap.after:g} s, expected {log}")
 
 
-def _local(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
+def on_map(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
     """`pose` in the grid frame, (3,); a ConfigError that names `given` if it is off the map."""
     local, grid = in_grid_frame(pose, features.grid), features.grid
     height, width = np.array(grid.occupied.shape) * grid.resolution

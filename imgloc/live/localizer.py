@@ -27,7 +27,7 @@ from typing import Any, Generic, TypeVar
 from imgloc.choice.choose import OPTIONS, Choice, Opened, bounds_at, choose, search
 from imgloc.choice.folder_index import MapIndex, index_of
 from imgloc.errors import ConfigError, expect
-from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking
+from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking, on_map
 from imgloc.live.line import Dropped, Key, Line
 from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
@@ -689,7 +689,7 @@ class Robot:
         """
         name = self.map if map is None else map
         site = self._core._ready(name)[1]
-        self._made(site, "pose").place(pose, deviation)
+        on_map("pose", pose, site.features)
         with self._lock:
             self.reset(map)
             self._start = pose, deviation

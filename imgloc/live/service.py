@@ -770,7 +770,8 @@ def scan_row(scans: ScanSet, k: int) -> dict[str, Any]:
     --------
     >>> scans = ScanSet((LaserScan([1.0, np.inf, np.nan], [0.0, 0.1, 0.2]),))
     >>> scan_row(scans, 0)
-    {'index': 0, 'ranges': [1.0, 'inf', None], 'angles': [0.0, 0.1, 0.2], 'range_min': 0.0}
+    {'index': 0, 'ranges': [1.0, 'inf', None], 'angles': [0.0, 0.1, 0.2], 'range_min': 0.0, \
+'time_increment': 0.0}
     """
     scan = scans[k]
     words = {math.inf: "inf", -math.inf: "-inf"}
@@ -778,6 +779,7 @@ def scan_row(scans: ScanSet, k: int) -> dict[str, Any]:
     row: dict[str, Any] = {"index": k, "ranges": ranges, "angles": scan.angles.tolist()}
     stamp = scan.stamp if scans.stamps is None else float(scans.stamps[k])
     numbers = {"range_min": scan.range_min, "range_max": scan.range_max, "stamp": stamp}
+    numbers["time_increment"] = scan.time_increment
     row |= {key: value for key, value in numbers.items() if math.isfinite(value)}
     poses = {"pose": scans.poses, "odom": scans.odom}
     for key, rows in poses.items():
