@@ -24,7 +24,7 @@ import numpy as np
 import imgloc
 from imgloc import Localizer, ScanSet
 from imgloc.filters.follow import with_odometry
-from imgloc.live.service import scan_row
+from imgloc.output.rows import scan_row
 from imgloc.model import FloatArray
 from tools.script import at_least_one, ended, parser_of, table_lines
 

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import imgloc
 from imgloc.errors import ConfigError
 from imgloc.io.maps import bundled_maps
-from imgloc.live.service import scan_row
+from imgloc.output.rows import scan_row
 from tools.script import at_least_one, ended, parser_of
 
 _PART = 500  # requests after which memory is to stay, and is looked at again and again

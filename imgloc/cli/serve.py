@@ -16,9 +16,9 @@ from imgloc.cli.command import Without
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
-from imgloc.options import Bytes, Logs, Options
+from imgloc.live.bounds import Bounds
+from imgloc.options import Logs, Options
 from imgloc.ranges import Option, Within, option
-from imgloc.texts import byte_count
 
 if TYPE_CHECKING:
     from imgloc.live.localizer import Localizer
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 PORT = 8080
 _NEEDED = ("starlette", "uvicorn", "websockets", "python_multipart", "prometheus_client")
 _LOCAL = "127.0.0.1"
-Patience = Annotated[float, Within(0.1, 3600, "seconds")]
 
 
 def serve(
@@ -54,14 +53,7 @@ def serve(
     allow_host: list[str] = option(
         [], "Another name by which clients call this host. May be repeated.", metavar="NAME"
     ),
-    seconds: Patience = option(30.0, "Seconds after which an answer is given up."),
-    patience: Patience = option(15.0, "Seconds within which a request has to come."),
-    waiting: Annotated[int, Within(1, 10_000, "")] = option(
-        16, "Requests that may wait for an answer; more are refused."
-    ),
-    max_body: Bytes = option(
-        64 << 20, "Largest body of a request, such as 512K or 2M. [default: 64M]", parse=byte_count
-    ),
+    bounds: Bounds,
     kept: opt.Kept,
 ) -> None:
     """Answer over HTTP: where scans are, from which map; and a page at / that shows why.
@@ -71,11 +63,9 @@ def serve(
     """
     _check_installed()
     from imgloc.live.guard import Access
-    from imgloc.live.requests import Bounds
     from imgloc.live.service import Given, Service
 
     access = Access(host, token or os.environ.get("IMGLOC_TOKEN"), tuple(allow_host))
-    bounds = Bounds(body=max_body, seconds=seconds, patience=patience, waiting=waiting)
     core, paths = _core(maps, reading, taken, kept)
 
     def show(address: str) -> None:
@@ -109,7 +99,7 @@ def open(  # noqa: A001 (the command's name)
     opened = None
     if scans_path is not None:
         scans = inputs.desk_of(**vars(taken)).scans(scans_path, inputs.as_recorded(logs)).scans
-        opened = ScansHeld("0" * 16, inputs.name_of(scans_path), scans)
+        opened = ScansHeld(inputs.name_of(scans_path), scans)
     core, paths = _core([map_path], reading, taken, kept)
 
     def show(address: str) -> None:

@@ -323,21 +323,29 @@ class Localizer:
         *,
         known: Known | None = None,
         source: Hashable = None,
+        at: Site | None = None,
     ) -> "Future[Answer[Localization]]":
-        """Return a future of :meth:`localize` at once; Dropped if the map is not prepared yet."""
+        """Return a future of :meth:`localize` at once; Dropped if the map is not prepared yet.
+
+        `at` is the map itself, if the caller has looked for the name before.
+        """
         expect(scan, LaserScan, "scan")
-        name = self._entry(map)[0]
-        self._ready(name)
+        name = self._entry(map)[0] if at is None else str(map)
+        if at is None:
+            self._ready(name)
         key = Key("localize", source)
 
         def work(waited: float) -> Answer[Localization]:
             begin = time.perf_counter()
-            entry, site = self._ready(name)
+            era, site = 0, at
+            if site is None:
+                entry, site = self._ready(name)
+                era = entry.era
             how = site.options(options or self.options)
             if known is not None:
                 how = replace(how, prior=how.prior & prior_of(known, site.features.grid))
             found = localize(site.features, scan, how)
-            return self._answer(found, name, scan, key, waited, begin, entry.era)
+            return self._answer(found, name, scan, key, waited, begin, era)
 
         return self._line.put(key, work)
 
