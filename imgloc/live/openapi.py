@@ -5,40 +5,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from imgloc import options as opt
 from imgloc.__about__ import __version__
 from imgloc.io.scanset import MAX_RAYS
+from imgloc.live import parameters
 from imgloc.live.held import ID
-from imgloc.live.parameters import (
-    PLACE,
-    TURN,
-    Flag,
-    Number,
-    Numbers,
-    Parameter,
-    Text,
-    Word,
-    bounds_of,
-    declared_as,
-)  # fmt: skip
+from imgloc.live.parameters import PLACE, TURN, Flag, Number, Numbers, Parameter, Text, Word
 from imgloc.live.problems import KINDS, MEDIA
 from imgloc.live.requests import NAME, NAME_WORDS
 from imgloc.model import MOUNTED
-from imgloc.options import (
-    FUSED,
-    METHODS,
-    Drawn,
-    Followed,
-    Known,
-    Logs,
-    Mounting,
-    Options,
-    Radius,
-    Reading,
-    Shared,
-    Turn,
-)  # fmt: skip
 
-STACKS = tuple(METHODS)
+STACKS = tuple(opt.METHODS)
 LAYERS = ("bmap", "distance", "vmap")
 _FILE = r"[^\x00-\x1f/\\]{1,200}"
 _LIST = r"(\d{1,9}|\d{0,9}:\d{0,9}(:0{0,9}[1-9]\d{0,8})?)"
@@ -57,7 +34,7 @@ _FILE_NAME = Parameter(
     "Name of the file of scans. Its ending sets the format; without it the content decides.",
     Text(_FILE, 200, "a file name"),
 )
-_INDEX = Parameter(
+_CHOSEN = Parameter(
     "index",
     f"Only these scans of a file: {_INDEX_WORDS}.",
     Text(f"{_LIST}(,{_LIST}){{0,99}}", 2000, _INDEX_WORDS),
@@ -65,23 +42,24 @@ _INDEX = Parameter(
 _TOPIC = Parameter(
     "topic", "Laser to read from a log that has several.", Text(r"[!-~]{1,200}", 200, "a name")
 )
-_SCALE = declared_as(Logs, "scale", "range_scale", default=1.0)
+_SCALE = Parameter.of(opt.Logs, "scale", "range_scale", default=1.0)
 _SENSOR = Parameter(
     "sensor",
     "Pose of the sensor on the robot (x, y, yaw); answers then contain poses of the base.",
     Numbers(3, ((-MOUNTED, MOUNTED), (-MOUNTED, MOUNTED), TURN)),
 )
 TAKEN = (
-    _SCALE, declared_as(Logs, "range_max"), _SENSOR,
-    declared_as(Mounting, "flipped", default=False),
+    _SCALE, Parameter.of(opt.Logs, "range_max"), _SENSOR,
+    Parameter.of(opt.Mounting, "flipped", default=False),
 )  # fmt: skip
-_READ = (_FILE_NAME, _TOPIC, declared_as(Logs, "fov", "fov_deg"))
-_SCANS = (_SCANS_ID, *_READ, _INDEX, *TAKEN)
-_RADIUS, _TURN = bounds_of(Radius), bounds_of(Turn)
+_READ = (_FILE_NAME, _TOPIC, Parameter.of(opt.Logs, "fov", "fov_deg"))
+_SCANS = (_SCANS_ID, *_READ, _CHOSEN, *TAKEN)
 _HEADING = Parameter(
-    "heading", "Only poses that face this heading, up to a deviation.", Numbers(1, (TURN, _TURN))
+    "heading",
+    "Only poses that face this heading, up to a deviation.",
+    Numbers(1, (TURN, parameters.OFF)),
 )
-_CLEARANCE = declared_as(Known, "clearance")
+_CLEARANCE = Parameter.of(opt.Known, "clearance")
 _REGION = Parameter(
     "region", "Only poses in this polygon: x1, y1, x2, y2 and so on, map frame, metres.",
     Numbers(6, (PLACE,) * 200),
@@ -89,26 +67,26 @@ _REGION = Parameter(
 LOCALIZE = (
     MAP, *_SCANS,
     Parameter("near", "Only poses near this one: x, y, yaw, then radius and deviation of the "
-              "heading.", Numbers(3, (PLACE, PLACE, TURN, _RADIUS, _TURN))),
+              "heading.", Numbers(3, (PLACE, PLACE, TURN, parameters.NEAR, parameters.OFF))),
     _HEADING, _CLEARANCE, _REGION,
-    declared_as(Options, "method", default=FUSED), declared_as(Options, "top"),
-    declared_as(Options, "theta_step", "theta_step_deg"),
+    Parameter.of(opt.Options, "method", default=opt.FUSED), Parameter.of(opt.Options, "top"),
+    Parameter.of(opt.Options, "theta_step", "theta_step_deg"),
     Parameter("exact", "Search by branch and bound, for fused and cbml.", Flag(), False),
 )  # fmt: skip
 WHICH = (*_SCANS, _HEADING, _CLEARANCE)
 FIT = (
     MAP, *_SCANS,
     Parameter("pose", "Pose of the sensor: x, y, yaw, map frame.", _X_Y_YAW, needed=True),
-    declared_as(Shared, "scale", about="Factor of all ranges: evidence.scale of an answer."),
-    declared_as(Drawn, "thinner", about="Metres that walls lose on each side: evidence.thinner."),
-    declared_as(Drawn, "bent", about="Metres that pieces of wall stand off: evidence.bent."),
+    Parameter.of(opt.Shared, "scale", about="Factor of all ranges: evidence.scale of an answer."),
+    Parameter.of(opt.Drawn, "thinner", about="Metres each side of a wall loses: evidence.thinner."),
+    Parameter.of(opt.Drawn, "bent", about="Metres that pieces of wall stand off: evidence.bent."),
 )  # fmt: skip
 UPLOAD = (
     Parameter("name", "What the map is called; its id is another.", Text(NAME, 100, NAME_WORDS)),
     Parameter("origin", "Pose of the lower-left corner: x, y, yaw.", _X_Y_YAW),
-    *(declared_as(Reading, key) for key in
+    *(Parameter.of(opt.Reading, key) for key in
       ("resolution", "mode", "occupied_thresh", "free_thresh", "negate")),
-    declared_as(Reading, "semantics", default="nav2"),
+    Parameter.of(opt.Reading, "semantics", default="nav2"),
     Parameter("allow_lossy", "Accept a JPEG or a lossy WebP.", Flag(), False),
 )  # fmt: skip
 PAGE = (
@@ -117,13 +95,13 @@ PAGE = (
 )
 _HELD = Parameter("scans", "Scans that were sent before.", _HELD_ID, needed=True)
 LIKELIHOOD = (
-    MAP, _HELD, _INDEX, *TAKEN,
+    MAP, _HELD, _CHOSEN, *TAKEN,
     Parameter("method", "Method of the likelihood.", Word(STACKS), "cbml"),
     Parameter("slice", "Number of the heading, or max for the best over all.",
               Text(r"max|\d{1,5}", 5, "a number, or max"), "max"),
 )  # fmt: skip
 ATLAS = (
-    MAP, _HELD, _INDEX, *TAKEN,
+    MAP, _HELD, _CHOSEN, *TAKEN,
     Parameter("step", "Metres between two places.", Number(0.05, 1000, "metres"), 2.0),
     Parameter("headings", "Headings at each place.", Number(1, 72, whole=True), 1),
     Parameter("start", "First pose: next of the last answer.", Number(0, 1e9, whole=True), 0),
@@ -134,7 +112,8 @@ VISIBILITY = (
 )
 TRACK = (
     MAP, *TAKEN,
-    declared_as(Followed, "filter", default="tracker"), declared_as(Followed, "seed", default=0),
+    Parameter.of(opt.Followed, "filter", default="tracker"),
+    Parameter.of(opt.Followed, "seed", default=0),
     Parameter("start", "Rough pose at the beginning: x, y, yaw.", _X_Y_YAW),
     Parameter("places", "Add the places of the belief to each line.", Flag(), False),
 )  # fmt: skip
@@ -194,8 +173,8 @@ _SCHEMAS: Mapping[str, Any] = {
     },
     "Map": _object(
         "id name width height resolution origin uploaded version",
-        id=_WORD, name=_WORD, width=_WHOLE, height=_WHOLE, resolution=_NUMBER, origin=_AT, free_m2=_NUMBER,
-        uploaded=_YES, version=_WORD, path={"type": ["string", "null"]},
+        id=_WORD, name=_WORD, width=_WHOLE, height=_WHOLE, resolution=_NUMBER, origin=_AT,
+        free_m2=_NUMBER, uploaded=_YES, version=_WORD, path={"type": ["string", "null"]},
         warnings=_WARNINGS,
     ),
     "Scans": _object(

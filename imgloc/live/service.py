@@ -13,7 +13,7 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,19 +25,17 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, Router, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket, WebSocketState
 
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
-from imgloc.errors import ConfigError, ImglocError, ScanError
+from imgloc.errors import ConfigError, ImglocError
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.follow import Tracking
 from imgloc.io.calibration import map_hash
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
 from imgloc.io.scans import write_npz
 from imgloc.io.scanset import ScanSet
-from imgloc.io.textscans import read_jsonl_line
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.live import layers, openapi
 from imgloc.live.bounds import Bounds
@@ -53,20 +51,21 @@ from imgloc.live.guard import (
     Send,
     ending,
     read_body,
-)  # fmt: skip
+)
 from imgloc.live.held import Held
-from imgloc.live.lanes import Lane, waited
+from imgloc.live.lanes import Lane
 from imgloc.live.localizer import Localizer
 from imgloc.live.metrics import Metrics
 from imgloc.live.openapi import OPERATIONS, Operation
 from imgloc.live.parameters import read_query, with_defaults
 from imgloc.live.problems import Problem, Refused, problem_of
 from imgloc.live.requests import Sent, map_of, marked_bytes, marked_of, scans_of, taken
+from imgloc.live.robots import Robots
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
 from imgloc.model import FloatArray, LaserScan, Likelihood, Pose2D, plain, to_json
 from imgloc.options import FUSED, RADIUS, TOLERANCE, Chosen, Known, Prior
-from imgloc.output.rows import answer_row, moment_row, scan_row
+from imgloc.output.rows import answer_row, scan_row
 from imgloc.pipeline import prepare
 from imgloc.search.asked import answer_bytes
 from imgloc.search.priors import prior_of
@@ -135,15 +134,6 @@ class Ask:
         return str(next(iter(self.request.path_params.values())))
 
 
-@dataclass(eq=False)
-class Session:
-    """A robot that is followed."""
-
-    map: str
-    heard: float  #: when its last line came, by the loop
-    until: asyncio.Timeout | None = None  #: while the next one is waited for
-
-
 Endpoint = Callable[[Ask], Awaitable[Response]]
 
 
@@ -172,15 +162,15 @@ class Service:
         self.stopping = asyncio.Event()
         threads = {"files": 1, "answers": 0, "looks": _LOOKS, "layers": 1}
         self.lanes = {name: Lane(self.bounds.waiting, count) for name, count in threads.items()}
+        self.robots = Robots(core, self.bounds, self.lanes["looks"], self._count)
         budget = core.options.memory_budget or 1 << 30
         self._part = budget // 4  # of the memory: for maps that are held twice as much
         self.bodies = Bodies(max(self._part, self.bounds.body))
-        self._maps: Held[str] = Held(self.bounds.held, 2 * self._part, "map", self._robots_in)
+        self._maps: Held[str] = Held(self.bounds.held, 2 * self._part, "map", self.robots.within)
         self._scans: Held[ScansHeld] = Held(self.bounds.held, 2 * self.bounds.numbers, "scans")
         self._own = core.names  # those that the service begins with
         self._stack: tuple[object, Likelihood] | None = None
         self._about = WeakKeyDictionary[MapFeatures, dict[str, Any]]()
-        self._sessions = list[Session]()
         self._router = Router(self._routes())
 
     # ---- ASGI -----------------------------------------------------------------------------------
@@ -197,8 +187,11 @@ class Service:
 
     async def _enter(self, scope: Scope, receive: Receive, send: Send) -> None:
         self.access.check(scope)
-        if scope.get("state", {}).get(FULL) and scope["path"] not in PROBES:
-            raise Refused("busy", "too many connections", retry=1)
+        if scope["path"] not in PROBES:
+            if scope.get("state", {}).get(FULL):
+                raise Refused("busy", "too many connections", retry=1)
+            if self.stopping.is_set():
+                raise ending()
         await self._router(scope, receive, send)
 
     async def _http(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -288,12 +281,14 @@ class Service:
     def stop(self) -> None:
         """Refuse what comes and what waits; what runs may end."""
         self.stopping.set()
-        for lane in self.lanes.values():
-            lane.stop()
+        for name, lane in self.lanes.items():
+            if name != "looks":  # writes what was found
+                lane.stop()
 
     def give_up(self) -> None:
         """Refuse also what runs."""
         for lane in self.lanes.values():
+            lane.stop()
             lane.give_up()
 
     def _routes(self) -> list[Route | WebSocketRoute]:
@@ -341,7 +336,7 @@ class Service:
             self.metrics.queue.labels(name).set(lane.pending)
         self.metrics.dropped.set(self.core.dropped)
         self.metrics.maps.set(len(self.core.names))
-        self.metrics.sockets.set(len(self._sessions))
+        self.metrics.sockets.set(len(self.robots))
         return Response(self.metrics.text(), media_type="text/plain; version=0.0.4")
 
     async def _document(self, _: Ask) -> Response:
@@ -452,15 +447,12 @@ class Service:
             raise Refused(
                 "name-taken", f"{name}: is a map of the service itself, and cannot be removed"
             )
-        if count := self._robots_in(name):
+        if count := self.robots.within(name):
             some = "a robot is" if count == 1 else f"{count} robots are"
             raise Refused("in-use", f"{name}: {some} followed in it; remove it when they are gone")
         self._maps.get(name, drop=True)
         self._forget(name)
         return Response(status_code=204)
-
-    def _robots_in(self, name: str) -> int:
-        return sum(session.map == name for session in self._sessions)
 
     def _forget(self, name: str) -> None:
         """Hold nothing of a map any more."""
@@ -679,88 +671,18 @@ class Service:
         corners = _corners(ask.values["region"])
         return _png(await ask.run(lambda: layers.region_layer(site.features.grid, corners)))
 
-    # ---- a robot --------------------------------------------------------------------------------
-
     async def _track(self, socket: WebSocket) -> None:
         """A line in, a line out, as `imgloc track --json` has it."""
         given = read_query(socket.scope["query_string"], openapi.TRACK)
         values = with_defaults(given, openapi.TRACK)
         name, site = self._site(values["map"])
-        session = self._begun(name)
-        robot, looks = None, self.lanes["looks"]
         try:
-            tracking = Tracking(filter=values["filter"], seed=values["seed"])
-            robot = await asyncio.to_thread(self.core.robot, name, tracking)
-            if values["start"] is not None:
-                start = partial(robot.start_at, Pose2D(*values["start"]))
-                await looks.run(start, self.bounds.seconds)
-            offered = socket.scope.get("subprotocols", [])
-            await socket.accept("imgloc" if "imgloc" in offered else None)
-            count, last = 0, -math.inf
-            async for line in self._lines(socket, session):
-                begin, where = time.perf_counter(), f"line {count + 1}"
-                if line is None:
-                    raise ScanError(f"{where}: got bytes, expected a text: JSON")
-                if not line.strip():
-                    continue
-                read = partial(moment_of, line, where, values)
-                scan, odom = await looks.run(read, self.bounds.seconds)
-                if scan.stamp < last:
-                    got = f"stamp: got {scan.stamp} s, expected {last} s or later"
-                    raise ScanError(f"{where}: {got}, the stamp of the line before")
-                last = scan.stamp
-                future = asyncio.wrap_future(robot.update_soon(scan, odom))
-                moment = (await waited(future, self.bounds.seconds)).value
-                self._count("track", moment.belief.verdict, begin)
-                origin = site.features.grid.origin if values["places"] else None
-                row = partial(moment_row, replace(moment, index=count), origin)
-                text = await looks.run(partial(_json_of, row), self.bounds.seconds)
-                await socket.send_text(text)
-                count += 1
-        except WebSocketDisconnect:
-            pass
+            await self.robots.follow(socket, values, name, site)
         except ImglocError as error:
             if socket.application_state != WebSocketState.CONNECTED:
                 raise
             await socket.send_text(json.dumps(self._problem(error).document))
             await socket.close(1007, "see the last message")
-        finally:
-            if session in self._sessions:
-                self._sessions.remove(session)
-            if robot is not None:
-                robot.end()
-
-    def _begun(self, name: str) -> Session:
-        """A place for one robot more; the one that has been silent for longest makes room."""
-        now = asyncio.get_running_loop().time()
-        if len(self._sessions) >= self.bounds.sockets:
-            silent = [one for one in self._sessions
-                      if one.until and one.heard < now - self.bounds.patience]  # fmt: skip
-            if not silent:
-                raise Refused("busy", f"{len(self._sessions)} robots are followed", retry=5)
-            oldest = min(silent, key=lambda one: one.heard)
-            self._sessions.remove(oldest)
-            if oldest.until is not None:
-                oldest.until.reschedule(now)
-        if self.stopping.is_set():
-            raise ending()
-        self._sessions.append(session := Session(name, now))
-        return session
-
-    async def _lines(self, socket: WebSocket, session: Session) -> AsyncIterator[str | None]:
-        """The lines of a robot as they come, None of what is no text, until it goes."""
-        loop = asyncio.get_running_loop()
-        while True:
-            try:
-                async with asyncio.timeout(self.bounds.silence) as session.until:
-                    message = await socket.receive()
-            except TimeoutError:
-                quiet = f"no line for {loop.time() - session.heard:.0f} s"
-                raise Refused("too-slow", f"{quiet}: the robot is followed no more") from None
-            session.until, session.heard = None, loop.time()
-            if message["type"] != "websocket.receive":
-                return
-            yield message.get("text")
 
 
 def _one_of(held: ScansHeld, values: Values) -> LaserScan:
@@ -802,10 +724,6 @@ def _warned(row: Mapping[str, Any], warnings: Sequence[str]) -> dict[str, Any]:
     return {**row, "warnings": list(warnings)} if warnings else dict(row)
 
 
-def _json_of(row: Callable[[], Mapping[str, Any]]) -> str:
-    return to_json(row())
-
-
 def _rows(lines: Sequence[str]) -> Response:
     """JSON lines; one alone is a JSON object."""
     media = "application/json" if len(lines) == 1 else _LINES
@@ -822,12 +740,3 @@ def _corners(numbers: Sequence[float]) -> FloatArray:
     if len(numbers) % 2:
         raise ConfigError(f"region: got {len(numbers)} numbers, expected pairs x, y")
     return np.array(numbers, dtype=np.float64).reshape(-1, 2)
-
-
-def moment_of(line: str, where: str, how: Mapping[str, Any]) -> tuple[LaserScan, Any]:
-    """A line of a log, as a robot sends it: its scan, and its odometry (3,)."""
-    one = read_jsonl_line(line, where)
-    if one.odom is None:
-        missing = "odom: missing, expected the pose of the odometry, [x, y, theta]"
-        raise ScanError(f"{where}: {missing}")
-    return taken(one[0], how), one.odom[0]
