@@ -64,11 +64,14 @@ _REGION = Parameter(
     "region", "Only poses in this polygon: x1, y1, x2, y2 and so on, map frame, metres.",
     Numbers(6, (PLACE,) * 200),
 )  # fmt: skip
-LOCALIZE = (
+DOUBTS = (
     MAP, *_SCANS,
     Parameter("near", "Only poses near this one: x, y, yaw, then radius and deviation of the "
               "heading.", Numbers(3, (PLACE, PLACE, TURN, parameters.NEAR, parameters.OFF))),
     _HEADING, _CLEARANCE, _REGION,
+)  # fmt: skip
+LOCALIZE = (
+    *DOUBTS,
     Parameter.of(opt.Options, "method", default=opt.FUSED), Parameter.of(opt.Options, "top"),
     Parameter.of(opt.Options, "theta_step", "theta_step_deg"),
     Parameter("exact", "Search by branch and bound, for fused and cbml.", Flag(), False),
@@ -92,6 +95,7 @@ UPLOAD = (
 PAGE = (
     Parameter("start", "The first scan of the page.", Number(0, 1e9, "scans", whole=True), 0),
     Parameter("count", "Scans of the page.", Number(1, 200, "scans", whole=True), 20),
+    *TAKEN,
 )
 _HELD = Parameter("scans", "Scans that were sent before.", _HELD_ID, needed=True)
 LIKELIHOOD = (
@@ -326,6 +330,9 @@ OPERATIONS = (
     Operation("post", "/v1/which", "which", "answers",
               "The map that scans are from: the JSON of `imgloc which`.", _ROWS,
               _ref("Choice") | _LINES, WHICH, _SCAN_BODY),
+    Operation("post", "/v1/doubts", "doubts", "layers",
+              "What most likely keeps a scan from fitting: the hints of `imgloc localize`.",
+              "Sentences.", _OBJECT, DOUBTS, _SCAN_BODY),
     Operation("post", "/v1/score", "score", "looks", "How a scan fits at a pose.", "The fit.",
               _ref("Fit"), FIT, _SCAN_BODY),
     Operation("post", "/v1/settle", "settle", "looks", "How a scan fits at the best pose nearby.",

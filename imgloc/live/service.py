@@ -27,9 +27,10 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, Router, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketState
 
+from imgloc.answers.diagnose import Given, doubts, is_doubtful
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
-from imgloc.errors import ConfigError, ImglocError
+from imgloc.errors import ConfigError, ImglocError, as_options
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import map_hash
@@ -66,7 +67,7 @@ from imgloc.live.static import page_files
 from imgloc.model import FloatArray, LaserScan, Likelihood, Pose2D, plain, to_json
 from imgloc.options import FUSED, RADIUS, TOLERANCE, Chosen, Known, Prior
 from imgloc.output.rows import answer_row, scan_row
-from imgloc.pipeline import prepare
+from imgloc.pipeline import localize, prepare
 from imgloc.search.asked import answer_bytes
 from imgloc.search.priors import prior_of
 
@@ -86,6 +87,8 @@ class ScansHeld:
     name: str
     scans: ScanSet
     warnings: tuple[str, ...] = ()  #: of its reader
+    options: tuple[str, ...] = ()  #: of the command that has opened it
+    indices: tuple[int, ...] | None = None  #: of these scans in the file, if they are not all
 
     def about(self, id_: str) -> dict[str, Any]:
         """What is in it."""
@@ -95,7 +98,7 @@ class ScansHeld:
         return (
             {"id": id_, "name": self.name, "scans": len(s), "readings": readings}
             | {key: value is not None for key, value in known.items()}
-            | {"warnings": list(self.warnings)}
+            | {"warnings": self.warnings, "options": self.options, "indices": self.indices}
         )
 
 
@@ -103,7 +106,7 @@ OPENED = "0" * 32  #: id of the scans that a service is given to begin with
 
 
 @dataclass(frozen=True)
-class Given:
+class Begun:
     """What a service is given to begin with."""
 
     #: paths of the maps, by name, as the command line has them
@@ -146,7 +149,7 @@ class Service:
         Its maps; clients may send more, each for itself.
     access : Access
     bounds : Bounds
-    given : Given
+    given : Begun
     """
 
     def __init__(
@@ -154,10 +157,10 @@ class Service:
         core: Localizer,
         access: Access | None = None,
         bounds: Bounds | None = None,
-        given: Given | None = None,
+        given: Begun | None = None,
     ) -> None:
         self.core, self.access = core, access or Access()
-        self.bounds, self.given = bounds or Bounds(), given or Given()
+        self.bounds, self.given = bounds or Bounds(), given or Begun()
         self.metrics, self.page = Metrics(), page_files()
         self.stopping = asyncio.Event()
         threads = {"files": 1, "answers": 0, "looks": _LOOKS, "layers": 1}
@@ -527,7 +530,9 @@ class Service:
 
         def text() -> str:
             some = range(start, min(start + values["count"], len(held.scans)))
-            items = [scan_row(held.scans, k) for k in some]
+            there = held.scans.take(some)
+            there = replace(there, scans=tuple(taken(scan, values) for scan in there.scans))
+            items = [{**scan_row(there, k), "index": start + k} for k in range(len(some))]
             return json.dumps({**held.about(ask.id), "start": start, "items": items},
                               allow_nan=False)  # fmt: skip
 
@@ -571,6 +576,24 @@ class Service:
             return str(await ask.run(text, "looks"))
 
         return _rows([await row(k) for k in chosen])
+
+    async def _doubts(self, ask: Ask) -> Response:
+        """What keeps a scan from fitting, as the command says it."""
+        site, values = self._site(ask.values["map"])[1], ask.values
+        chosen, (scans, _), prior = await self._asked(ask, site)
+
+        def text() -> list[str]:
+            scan = taken(scans[chosen[0]], values)
+            options = site.options(replace(self.core.options, prior=prior))
+            found = localize(site.features, scan, options)
+            said = [(found.verdict, found.evidence)]
+            if not is_doubtful(*said[0]):
+                return []
+            given = Given(values["flipped"], values["range_scale"])
+            hints = doubts(site.features, ScanSet((scan,)), said, options, given)
+            return [as_options(hint.text) for hint in hints]
+
+        return JSONResponse({"hints": await ask.run(text)})
 
     async def _which(self, ask: Ask) -> Response:
         if not self._names:
