@@ -203,9 +203,9 @@ const SURE = ["unique", "ambiguous"];
 
 /** Ask what keeps the scan from fitting, in the words of the command. */
 const doubt = api.newest(async () => {
-  const { answer } = state;
+  const { map, scan, known } = state;
   const hints = await attempt("", () => aboutScans((id) => api.doubts({ ...asked(id), ...priorOf(state.known) })));
-  if (hints && answer === state.answer) change({ hints });
+  if (hints && scan === state.scan && map === state.map && known === state.known) change({ hints });
 });
 
 /** Draw the scan at a hypothesis. */

@@ -98,7 +98,7 @@ export function startKeys(view, redraw) {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
     const { target } = event, range = target.type === "range";
-    const typing = target.matches("input:not([type=range]), select, textarea");
+    const typing = target.matches("input:not([type=range], [type=checkbox]), select, textarea");
     if (typing || (range && /^(Arrow|Page|Home|End)/.test(event.key))) return;
     const action = actionOf.get(event.key);
     if (!action || (event.key === "Enter" && target.id !== "canvas")) return;

@@ -53,7 +53,8 @@ function showVerdict() {
     say($("word"), answer.verdict);
     say($("why"), sentence(answer));
     const pose = answer.pose ? ` ${poseWords(answer.pose)}.` : "";
-    say($("live"), `Scan ${index}: ${answer.verdict}. ${sentence(answer)}${pose}`);
+    // Once for each answer: the share of the readings comes later.
+    say($("live"), `Scan ${index}: ${answer.verdict}. ${sentence({ ...answer, counted: null })}${pose}`);
   } else if (belief) {
     say($("word"), belief.verdict);
     say($("why"), beliefWords(belief));
