@@ -88,7 +88,7 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     across = np.bincount(columns, minlength=info.width).astype(np.float32)
     check_count(int(np.bincount(rows, minlength=info.height) @ (free @ across)) * headings, step)
     # Only rows and columns that hold a place: in a fine raster the others are many.
-    some, other = free.any(axis=1)[rows], free.any(axis=0)[columns]
+    some, other = (np.logical_or.reduce(free, axis)[at] for axis, at in ((1, rows), (0, columns)))
     row, column = np.nonzero(free[np.ix_(rows[some], columns[other])])
     places = np.column_stack((x[other][column], y[some][row]))
     if not len(places):

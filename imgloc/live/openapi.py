@@ -333,9 +333,9 @@ OPERATIONS = (
     Operation("post", "/v1/doubts", "doubts", "layers",
               "What most likely keeps a scan from fitting: the hints of `imgloc localize`.",
               "Sentences.", _OBJECT, DOUBTS, _SCAN_BODY),
-    Operation("post", "/v1/score", "score", "looks", "How a scan fits at a pose.", "The fit.",
+    Operation("post", "/v1/score", "fit", "looks", "How a scan fits at a pose.", "The fit.",
               _ref("Fit"), FIT, _SCAN_BODY),
-    Operation("post", "/v1/settle", "settle", "looks", "How a scan fits at the best pose nearby.",
+    Operation("post", "/v1/settle", "fit", "looks", "How a scan fits at the best pose nearby.",
               "The fit.", _ref("Fit"), FIT, _SCAN_BODY),
     *(
         Operation("get", f"/v1/layers/{name}", "feature", "layers", f"The {name} of a map.", "PNG.",

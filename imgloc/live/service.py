@@ -30,7 +30,7 @@ from starlette.websockets import WebSocket, WebSocketState
 from imgloc.answers.diagnose import Given, doubts, is_doubtful
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
-from imgloc.errors import ConfigError, ImglocError, as_options
+from imgloc.errors import ConfigError, as_options
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import map_hash
@@ -136,6 +136,11 @@ class Ask:
         """The id or name in the path."""
         return str(next(iter(self.request.path_params.values())))
 
+    @property
+    def last(self) -> str:
+        """The last word of the path."""
+        return self.route.path.rpartition("/")[2]
+
 
 Endpoint = Callable[[Ask], Awaitable[Response]]
 
@@ -228,20 +233,10 @@ class Service:
 
     async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Follow a robot, or refuse to before the handshake."""
-        accepted = False
-
-        async def send_(message: Message) -> None:
-            nonlocal accepted
-            accepted = accepted or message["type"] == "websocket.accept"
-            await send(message)
-
         try:
-            await self._enter(scope, receive, send_)
+            await self._enter(scope, receive, send)
         except Exception as error:
             problem = self._problem(_refused(error))
-            if accepted:
-                await send({"type": "websocket.close", "code": 1011, "reason": "internal error"})
-                return
             await receive()
             self.metrics.requests.labels(str(problem.status)).inc()
             kind, body = "websocket.http.response", problem.body
@@ -601,7 +596,7 @@ class Service:
         self._check_prepared()
         chosen, (scans, warnings), _ = await self._asked(ask, None)
         values = ask.values
-        known = Known(None, _turned(values["heading"], 1), values["clearance"])
+        known = Known(None, _heading(values), values["clearance"])
 
         async def row(k: int) -> str:
             begin = time.perf_counter()
@@ -619,14 +614,8 @@ class Service:
         self.metrics.answers.labels(kind, verdict).inc()
         self.metrics.seconds.labels(kind).observe(time.perf_counter() - begin)
 
-    async def _score(self, ask: Ask) -> Response:
-        return await self._fit(ask, "score")
-
-    async def _settle(self, ask: Ask) -> Response:
-        return await self._fit(ask, "settle")
-
-    async def _fit(self, ask: Ask, kind: str) -> Response:
-        site = self._site(ask.values["map"])[1]
+    async def _fit(self, ask: Ask) -> Response:
+        site, kind = self._site(ask.values["map"])[1], ask.last
         chosen, (scans, warnings), _ = await self._asked(ask, None)
         if len(chosen) != 1:
             raise ConfigError(f"index: got {len(chosen)} scans, expected one")
@@ -653,8 +642,8 @@ class Service:
     # ---- layers ---------------------------------------------------------------------------------
 
     async def _feature(self, ask: Ask) -> Response:
-        site, what = self._site(ask.values["map"])[1], ask.route.path.rpartition("/")[2]
-        return _png(await ask.run(lambda: layers.feature_layer(site.features, what)))
+        site = self._site(ask.values["map"])[1]
+        return _png(await ask.run(lambda: layers.feature_layer(site.features, ask.last)))
 
     async def _likelihood(self, ask: Ask) -> Response:
         site, values = self._site(ask.values["map"])[1], ask.values
@@ -701,11 +690,12 @@ class Service:
         name, site = self._site(values["map"])
         try:
             await self.robots.follow(socket, values, name, site)
-        except ImglocError as error:
+        except Exception as error:
             if socket.application_state != WebSocketState.CONNECTED:
                 raise
-            await socket.send_text(json.dumps(self._problem(error).document))
-            await socket.close(1007, "see the last message")
+            problem = self._problem(error)
+            await socket.send_text(problem.body.decode())
+            await socket.close(1011 if problem.status == 500 else 1007, "see the last message")
 
 
 def _one_of(held: ScansHeld, values: Values) -> LaserScan:
@@ -720,7 +710,7 @@ def _prior(values: Values, site: Site) -> Prior:
     if near is not None:
         near = (*near, *(RADIUS, TOLERANCE)[len(near) - 3 :])
     grid = site.features.grid
-    prior = prior_of(Known(near, _turned(values["heading"], 1), values["clearance"]), grid)
+    prior = prior_of(Known(near, _heading(values), values["clearance"]), grid)
     if values["region"] is not None:
         cells = layers.region_cells(grid, _corners(values["region"]))
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
@@ -753,9 +743,8 @@ def _rows(lines: Sequence[str]) -> Response:
     return Response("".join(f"{line}\n" for line in lines), media_type=media)
 
 
-def _turned(given: tuple[float, ...] | None, least: int) -> tuple[float, float] | None:
-    """A heading and how far it may be off."""
-    return None if given is None else (given[0], given[1] if len(given) > least else TOLERANCE)
+def _heading(values: Values) -> tuple[float, float] | None:
+    return values["heading"] and (*values["heading"], TOLERANCE)[:2]
 
 
 def _corners(numbers: Sequence[float]) -> FloatArray:
