@@ -87,8 +87,7 @@ class Gate:
         """Accept who comes to a socket, for ever."""
         while True:
             while len(self._there) >= self._bounds.connections + _ROOM:
-                self.make_room()
-                await asyncio.sleep(_PAUSE)
+                await asyncio.sleep(0 if self.make_room() else _PAUSE)
             try:
                 client, _ = await self._loop.sock_accept(one)
             except OSError:  # there is no descriptor, or the client has gone
@@ -110,11 +109,11 @@ class Gate:
         late = self._loop.time() - _FRESH
         idle = [one for one in there if isinstance(one, _Connection) and one is not for_
                 and one.state != "work" and one.since < late]  # fmt: skip
-        if idle:
-            oldest = min(idle, key=lambda one: (one.served, one.since))
-            oldest.gone = True
-            oldest.transport.abort()
-        return bool(idle) and len(there) - 1 <= self._bounds.connections
+        many = len(there) - self._bounds.connections
+        for one in sorted(idle, key=lambda one: (one.served, one.since))[:many]:
+            one.gone = True
+            one.transport.abort()
+        return len(idle) >= many
 
     async def watch(self) -> None:
         """Close, again and again, connections whose client has let us wait for too long."""

@@ -27,6 +27,7 @@ from imgloc.live.service import Service
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _FIRST, _LAST = 0, 65_535  #: ports
 _ANSWERED, _SENT, _ENDED = 3, 4, 4.6  # seconds from a signal until what runs is given up, is cut
+_UNREAD = 1 << 16  # bytes of answers that a client has not read yet
 _SWITCH = 5e-4  # seconds after which the loop has its turn while a thread computes in Python
 _LINES = 100  # of a log that nobody reads
 
@@ -126,6 +127,8 @@ def bound(host: str, port: int) -> socket.socket:
     except OSError as error:
         raise ConfigError(f"host: got {host}, which is no address: {error.strerror}") from None
     one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # Else the system takes megabytes of answers for a client that asks again and never reads.
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNREAD)
     try:
         one.bind(address)
     except OSError as error:
@@ -158,7 +161,7 @@ def serve(service: Service, one: socket.socket, ready: Callable[[], object]) -> 
         service, http="h11", ws="websockets-sansio", loop="asyncio",
         lifespan="off", log_config=None, log_level="critical", access_log=False,
         server_header=False, proxy_headers=False, ws_max_size=bounds.message,
-        ws_per_message_deflate=False, timeout_keep_alive=math.ceil(bounds.patience), backlog=256,
+        ws_per_message_deflate=False, timeout_keep_alive=math.ceil(bounds.patience), backlog=4096,
         h11_max_incomplete_event_size=1 << 16, timeout_graceful_shutdown=_SENT,
     )  # fmt: skip
     server = _Server(config)

@@ -14,3 +14,11 @@ def test_no_request_is_lost_and_the_service_ends() -> None:
     assert code == 0, said
     assert "status {200: 24}; 0 without an answer" in said
     assert said.endswith("exit code 0\n")
+
+
+def test_clients_lose_nothing_beside_a_crowd(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--crowd", "8", "--map", "curved"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"beside a crowd: \d+ requests, p50 .* p99 .*; 0 lost", said)
+    assert "p99 beside / alone: " in said
+    assert "exit code 0" in said
