@@ -90,11 +90,9 @@ class Gate:
                 await asyncio.sleep(0 if self.make_room() else _PAUSE)
             try:
                 client, _ = await self._loop.sock_accept(one)
+                await self._loop.connect_accepted_socket(self._made, client)
             except OSError:  # there is no descriptor, or the client has gone
                 await asyncio.sleep(_PAUSE)
-                continue
-            await self._loop.connect_accepted_socket(self._made, client)
-            await asyncio.sleep(0)  # who has made room goes
 
     def _made(self) -> _Connection:
         made = _Connection(self._server.config, self._server.server_state, {}, self._loop)
