@@ -61,11 +61,15 @@ class Robots:
         return sum(one.map == name for one in self._there)
 
     async def follow(
-        self, socket: WebSocket, values: Mapping[str, Any], name: str, site: Site
+        self, socket: WebSocket, values: Mapping[str, Any], name: str, find: Callable[[], Site]
     ) -> None:
-        """Follow one until it goes, or its line cannot be used, which is raised."""
+        """Follow one until it goes, or its line cannot be used, which is raised.
+
+        Its map is looked for (`find`) once it counts as followed: from then on it stays.
+        """
         session, robot, seconds = self._begun(name), None, self._bounds.seconds
         try:
+            site = find()
             tracking = Tracking(filter=values["filter"], seed=values["seed"])
             robot = await asyncio.to_thread(self._core.robot, name, tracking)
             if values["start"] is not None:

@@ -326,7 +326,7 @@ class Service:
         return JSONResponse({"status": "ok"})
 
     def _check_prepared(self) -> None:
-        if not all(self.core.state(name) == "ready" for name in self.core.names):
+        if not all(self.core.state(name) == "ready" for name in self._names):
             raise Refused("not-ready", "maps are being prepared", retry=1)
 
     async def _metrics_text(self, _: Ask) -> Response:
@@ -687,9 +687,9 @@ class Service:
         """A line in, a line out, as `imgloc track --json` has it."""
         given = read_query(socket.scope["query_string"], openapi.TRACK)
         values = with_defaults(given, openapi.TRACK)
-        name, site = self._site(values["map"])
+        name = self._site(values["map"])[0]
         try:
-            await self.robots.follow(socket, values, name, site)
+            await self.robots.follow(socket, values, name, lambda: self._site(name)[1])
         except Exception as error:
             if socket.application_state != WebSocketState.CONNECTED:
                 raise
