@@ -30,6 +30,7 @@ _ANSWERED, _SENT, _ENDED = 3, 4, 4.6  # seconds from a signal until what runs is
 _UNREAD = 1 << 16  # bytes of answers that a client has not read yet
 _SWITCH = 5e-4  # seconds after which the loop has its turn while a thread computes in Python
 _LINES = 100  # of a log that nobody reads
+_TURNS, _TURN = 20, 0.02  # looks, and seconds between two, for what is still to be logged
 
 
 class _Server(uvicorn.Server):
@@ -104,6 +105,10 @@ def _logged_aside() -> Iterator[None]:
     finally:
         for log, handlers in zip(logs, before, strict=True):
             log.handlers[:] = handlers
+        for _ in range(_TURNS):  # for the last words, if somebody reads them
+            if lines.empty():
+                break
+            time.sleep(_TURN)
 
 
 def bound(host: str, port: int) -> socket.socket:
@@ -146,6 +151,8 @@ def address_of(one: socket.socket) -> str:
 
 def serve(service: Service, one: socket.socket, ready: Callable[[], object]) -> int | None:
     """Serve on a socket until a signal comes; return its number.
+
+    The process ends five seconds after the signal, whatever it does by then.
 
     Parameters
     ----------

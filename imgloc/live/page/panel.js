@@ -35,7 +35,7 @@ const WITHHELD = {
 
 /** What the tracker believes, in a sentence. */
 function beliefWords({ verdict, pose, withheld, mass }) {
-  if (pose) return `The tracker is at ${poseWords(pose)}.`;
+  if (pose) return `The robot is at ${poseWords(pose)}.`;
   if (withheld) return `One place holds ${percent(mass)}, but ${WITHHELD[withheld] ?? withheld}.`;
   return verdict === "lost" ? "The scans fit no place that the tracker knows." : `Several places fit: the best holds ${percent(mass)} of the probability.`;
 }
