@@ -709,10 +709,11 @@ class Chosen(Checked):
                     "(without B) or A:B:STEP, and commas between, such as 3,7,10:20"
                 )
 
-    def of(self, count: int, name: str) -> list[int]:
+    def of(self, count: int, name: str, most: int | None = None) -> list[int]:
         """Indices of the scans, of `count` in the file called `name`; ConfigError if there is none.
 
-        They are in the order asked for, each once; those of a sample rise.
+        They are in the order asked for, each once; those of a sample rise. Beyond `most` no more
+        are looked for: there may be one more.
         """
         found: dict[int, None] = {}
         for word in (":" if self.index is None else self.index).split(","):
@@ -727,7 +728,9 @@ class Chosen(Checked):
                 raise ConfigError(
                     f"`index`: got {word.strip()}, expected {expected}: {name} has {count} scans"
                 )
-            found |= dict.fromkeys(here)
+            found |= dict.fromkeys(here if most is None else here[: most + 1])
+            if most is not None and len(found) > most:
+                break
         indices = list(found)
         if self.sample is None or self.sample >= len(indices):
             return indices

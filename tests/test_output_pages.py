@@ -267,7 +267,7 @@ def test_the_page_says_what_the_answer_says(why) -> None:
     for fit in why.fits:
         for kind, n in fit.rays.counts.items():
             if n and kind == "agrees":
-                assert f"agrees {n} " in page.text
+                assert f"ends on a wall {n} " in page.text
     assert f"Misfit {why.answer.evidence.misfit:.3f} nats per reading." in page.text
     assert f"Temperature {why.answer.evidence.temperature.value:.2f}" in page.text
     margin = why.fits[0].hypothesis.log_likelihood - why.fits[1].hypothesis.log_likelihood

@@ -24,8 +24,8 @@ import numpy as np
 import imgloc
 from imgloc import Localizer, ScanSet
 from imgloc.filters.follow import with_odometry
-from imgloc.live.service import scan_row
 from imgloc.model import FloatArray
+from imgloc.output.rows import scan_row
 from tools.script import at_least_one, ended, parser_of, table_lines
 
 HEAD = "log | ready s | first ms | median ms | first / median | p50 ms | p99 ms | p99 / p50"

@@ -2,16 +2,21 @@
 
     python -m tools.load                        # 10,000 requests by four clients
     python -m tools.load --requests 200         # a look
+    python -m tools.load --crowd 600            # beside those who mean no good, for ten minutes
 
 It runs `imgloc serve` as a process of its own. First one client asks, and each request is
 followed by the same call in this process: the difference of the medians is what HTTP costs. Then
 all clients ask at once. Exits with 1 if a request is lost, or the memory grows, after the first
 500 requests, by more than --growth MiB. Linux alone tells the memory of a process.
+
+With --crowd, four clients ask for some seconds alone, and then beside :mod:`tools.crowd`. It exits
+with 1 if one of their requests is lost, or memory or open files exceed their bounds.
 """
 
 import argparse
 import http.client
 import json
+import multiprocessing
 import os
 import signal
 import statistics
@@ -29,9 +34,14 @@ from typing import NamedTuple
 import imgloc
 from imgloc.errors import ConfigError
 from imgloc.io.maps import bundled_maps
-from imgloc.live.service import scan_row
+from imgloc.live.bounds import Bounds
+from imgloc.output.rows import scan_row
+from tools.crowd import be_there
 from tools.script import at_least_one, ended, parser_of
 
+_TRIES = 50  # of a request that is refused as busy
+_ALONE = 20.0  # seconds
+_FILES = 30  # open files besides the connections
 _PART = 500  # requests after which memory is to stay, and is looked at again and again
 
 
@@ -142,6 +152,13 @@ def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
     scans = imgloc.simulate(imgloc.load_map(map_path), 50, seed=1)
     bodies = [json.dumps(scan_row(scans, k)).encode() for k in range(len(scans))]
     asks = [Ask("/v1/localize", body) for body in bodies]
+    if args.crowd:
+        code = beside_a_crowd(host, process.pid, asks, args)
+        begin = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        ended_with = process.wait(60)
+        print(f"exit code {ended_with} after {time.monotonic() - begin:.1f} s")
+        return int(bool(code or ended_with))
     overhead(host, process.pid, asks, map_path, scans, args.pairs)
     if args.near:
         near = [",".join(map(str, pose.tolist())) for _, pose in scans.with_poses()]
@@ -170,6 +187,91 @@ def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
     return int(bool(lost) or code != 0 or grown > args.growth)
 
 
+@dataclass
+class Honest:
+    """What clients see that mean no harm, and somebody who asks whether the service runs."""
+
+    host: str
+    asks: Sequence[Ask]
+    stop: threading.Event = field(default_factory=threading.Event)
+    seconds: list[float] = field(default_factory=list)
+    probes: list[float] = field(default_factory=list)
+    codes: Counter[int] = field(default_factory=Counter)
+    memory: float = 0.0
+    files: int = 0
+
+    def ask(self, number: int) -> None:
+        """Be one of the clients: what is busy, or has closed an idle connection, is asked again."""
+        link, k = http.client.HTTPConnection(self.host, timeout=60), number
+        while not self.stop.is_set():
+            begin, ask = time.perf_counter(), self.asks[k % len(self.asks)]
+            for _ in range(_TRIES):
+                self.codes[code := asked(link, ask)] += 1
+                if code not in (0, 503):
+                    break
+                time.sleep(0.1 if code else 0.0)
+            else:
+                self.codes[-1] += 1
+            self.seconds.append(time.perf_counter() - begin)
+            k += 1
+        link.close()
+
+    def probe(self) -> None:
+        """Ask whether it runs, as an orchestrator does."""
+        while not self.stop.wait(0.1):
+            begin = time.perf_counter()
+            link = http.client.HTTPConnection(self.host, timeout=60)
+            try:
+                link.request("GET", "/healthz")
+                self.codes[-1] += link.getresponse().read() != b'{"status":"ok"}'
+            except (OSError, http.client.HTTPException):
+                self.codes[-1] += 1
+            link.close()
+            self.probes.append(time.perf_counter() - begin)
+
+    def run(self, pid: int, seconds: float, clients: int) -> None:
+        """Ask for some time."""
+        threads = [threading.Thread(target=self.ask, args=(k,)) for k in range(clients)]
+        threads.append(threading.Thread(target=self.probe))
+        for thread in threads:
+            thread.start()
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.memory = max(self.memory, resident(pid))
+            self.files = max(self.files, len(list(Path(f"/proc/{pid}/fd").iterdir())))
+            time.sleep(0.2)
+        self.stop.set()
+        for thread in threads:
+            thread.join()
+
+    def say(self, what: str) -> None:
+        """Print what was seen."""
+        lost, again = self.codes[-1], self.codes[503]
+        print(f"{what}: {len(self.seconds)} requests, {percentiles(self.seconds)}; {lost} lost, ")
+        print(f"  {again} times 503, {self.codes[0]} times closed and asked again; healthz")
+        print(f"  {percentiles(self.probes)}, longest {1e3 * max(self.probes):.0f} ms;", end=" ")
+        print(f"{self.memory:.0f} MiB, {self.files} open files", flush=True)
+
+
+def beside_a_crowd(host: str, pid: int, asks: Sequence[Ask], args: argparse.Namespace) -> int:
+    """Compare what clients see alone with what they see beside a crowd; the exit code."""
+    alone, beside = Honest(host, asks), Honest(host, asks)
+    alone.run(pid, min(_ALONE, args.crowd), args.clients)
+    alone.say("alone")
+    crowd = multiprocessing.get_context("spawn").Process(
+        target=be_there, args=(host, args.crowd + 2, args.only), daemon=True
+    )
+    crowd.start()
+    time.sleep(2)
+    beside.run(pid, args.crowd, args.clients)
+    crowd.join(60)
+    beside.say("beside a crowd")
+    p99 = [statistics.quantiles(one.seconds, n=100)[98] for one in (alone, beside)]
+    print(f"p99 beside / alone: {p99[1] / p99[0]:.1f}")
+    most = Bounds().connections + _FILES
+    return int(beside.codes[-1] > 0 or beside.files > most or beside.memory > args.most)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     parser = parser_of("python -m tools.load", __doc__)
@@ -178,6 +280,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--pairs", type=int, default=200, help="requests beside a call")
     parser.add_argument("--map", default="visibility", help="name of a bundled map")
     parser.add_argument("--growth", type=float, default=16.0, metavar="MIB")
+    parser.add_argument("--crowd", type=float, default=0.0, metavar="SECONDS")
+    parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="members of it")
+    parser.add_argument("--most", type=float, default=712.0, metavar="MIB", help="beside a crowd")
     near = "each request says where the scan is, within 2 m: a shorter search"
     parser.add_argument("--near", action="store_true", help=near)
     args = parser.parse_args(arguments)
@@ -187,7 +292,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = [sys.executable, "-m", "imgloc", "serve", args.map, "--port", "0"]
         with tempfile.TemporaryFile() as err:
             process = subprocess.Popen(  # noqa: S603 (this very program)
-                [*command, "--waiting", "64", "--threads", "1"],
+                [*command, "--waiting", "64", "--threads", "1", "--memory-budget", "512M"],
                 stdout=subprocess.PIPE,
                 stderr=err,
                 text=True,

@@ -1,10 +1,11 @@
 """`imgloc serve`, `imgloc open`: answers over HTTP, and a page to look at them."""
 
 import logging
+import math
 import os
 import re
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,13 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Without
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
-from imgloc.options import Bytes, Logs, Options
-from imgloc.ranges import Option, Within, option
-from imgloc.texts import byte_count
+from imgloc.live.bounds import Bounds
+from imgloc.options import Chosen, Logs, Mounting, Options
+from imgloc.ranges import Option, Within, declared, option
 
 if TYPE_CHECKING:
     from imgloc.live.localizer import Localizer
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 PORT = 8080
 _NEEDED = ("starlette", "uvicorn", "websockets", "python_multipart", "prometheus_client")
 _LOCAL = "127.0.0.1"
-Patience = Annotated[float, Within(0.1, 3600, "seconds")]
+Port = Annotated[int, Within(0, 65_535, "")]
 
 
 def serve(
@@ -39,9 +39,7 @@ def serve(
         "of maps. Clients may send more.",
         "[MAPS...]",
     ),
-    port: Annotated[int, Within(0, 65_535, "")] = option(
-        PORT, "Port to listen at; 0 takes any that is free."
-    ),
+    port: Port = option(PORT, "Port to listen at; 0 takes any that is free."),
     host: str = option(
         _LOCAL, "Address to listen at; one that others reach needs --token.", metavar="ADDRESS"
     ),
@@ -54,14 +52,7 @@ def serve(
     allow_host: list[str] = option(
         [], "Another name by which clients call this host. May be repeated.", metavar="NAME"
     ),
-    seconds: Patience = option(30.0, "Seconds after which an answer is given up."),
-    patience: Patience = option(15.0, "Seconds within which a request has to come."),
-    waiting: Annotated[int, Within(1, 10_000, "")] = option(
-        16, "Requests that may wait for an answer; more are refused."
-    ),
-    max_body: Bytes = option(
-        64 << 20, "Largest body of a request, such as 512K or 2M. [default: 64M]", parse=byte_count
-    ),
+    bounds: Bounds,
     kept: opt.Kept,
 ) -> None:
     """Answer over HTTP: where scans are, from which map; and a page at / that shows why.
@@ -71,11 +62,9 @@ def serve(
     """
     _check_installed()
     from imgloc.live.guard import Access
-    from imgloc.live.requests import Bounds
-    from imgloc.live.service import Given, Service
+    from imgloc.live.service import Begun, Service
 
     access = Access(host, token or os.environ.get("IMGLOC_TOKEN"), tuple(allow_host))
-    bounds = Bounds(body=max_body, seconds=seconds, patience=patience, waiting=waiting)
     core, paths = _core(maps, reading, taken, kept)
 
     def show(address: str) -> None:
@@ -84,39 +73,63 @@ def serve(
             there = re.sub(r"//(0\.0\.0\.0|\[::\])", f"//{socket.gethostname()}", address)
             say(f"in a browser: {there}/#token=TOKEN, with your token instead of TOKEN")
 
-    _run(lambda: Service(core, access, bounds, Given(paths)), host, port, show)
+    _run(lambda: Service(core, access, bounds, Begun(paths)), host, port, show)
 
 
 def open(  # noqa: A001 (the command's name)
     *,
     map_path: opt.MapPath,
-    logs: Annotated[Logs, Without("range_max")],
+    logs: Logs,
+    chosen: Chosen,
+    mounting: Mounting,
     reading: opt.MapImages,
     taken: opt.Resources,
     scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,
+    port: Port = option(0, "Port to listen at. [default: any that is free]"),
     kept: opt.Kept,
 ) -> None:
     """Look at a map and scans in the browser: answers in place, and why.
 
-    Serves a page at a free port of this machine, prints its address and opens it. Ctrl-C ends it.
+    Serves a page on this machine alone, prints its address and opens it. Ctrl-C ends it.
     """
     _check_installed()
     import webbrowser
 
     from imgloc.cli import inputs
-    from imgloc.live.service import Given, ScansHeld, Service
+    from imgloc.live.service import Begun, ScansHeld, Service
 
     opened = None
     if scans_path is not None:
-        scans = inputs.desk_of(**vars(taken)).scans(scans_path, inputs.as_recorded(logs)).scans
-        opened = ScansHeld("0" * 16, inputs.name_of(scans_path), scans)
+        how = inputs.as_recorded(logs, chosen, mounting)
+        there = inputs.desk_of(**vars(taken)).scans(scans_path, how)
+        mounting.check(there.scans.scans)
+        words = (*_typed(logs), *_typed(mounting))
+        indices = None if len(there.indices) == there.total else tuple(there.indices)
+        opened = ScansHeld(there.name, there.scans, (), words, indices)
     core, paths = _core([map_path], reading, taken, kept)
 
     def show(address: str) -> None:
         emit(address)
         webbrowser.open(address)
 
-    _run(lambda: Service(core, given=Given(paths, opened)), _LOCAL, 0, show)
+    _run(lambda: Service(core, given=Begun(paths, opened)), _LOCAL, port, show)
+
+
+def _typed(group: Any) -> list[str]:
+    """The options of a group that are not as by default, as they are typed."""
+    out = list[str]()
+    kind: Any = type(group)
+    for part in declared(kind):
+        value = getattr(group, part.name)
+        if part.option is not None and value != part.default:
+            value = math.degrees(value) if part.in_degrees else value
+            text = (
+                ",".join(map(str, value))
+                if isinstance(value, Iterable) and not isinstance(value, str)
+                else f"{value}"
+            )
+            out.append(part.flag if value is True else f"{part.flag}={text}")
+    return out
 
 
 def _check_installed() -> None:
@@ -156,7 +169,8 @@ def _named(given: Sequence[Path], reading: opt.MapImages) -> dict[str, Path]:
             named = inputs.maps_in(path, reading)
         else:
             file = opt.find_map(path)
-            named = {file.stem: file}
+            file_of_folder = file.stem == "map" and file.resolve().parent.name
+            named = {file_of_folder or file.stem: file}
         for name, file in named.items():
             plain = re.sub(r"[^A-Za-z0-9._ -]+", "-", name).strip("-_. ")[:90] or "map"
             some = (plain if k == 1 else f"{plain}-{k}" for k in range(1, len(out) + 2))

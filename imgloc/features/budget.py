@@ -205,6 +205,6 @@ def simulate_bytes(cells: int, fine_cells: int, readings: int, *, kept: int = 0)
     return 24 * cells + 9 * fine_cells + 180 * readings + 24 * kept
 
 
-def poses_bytes(cells: int, places: int, headings: int) -> int:
-    """Peak of choosing the poses of an atlas: the map's cells, places of the raster, headings."""
-    return 14 * cells + (32 + 50 * headings) * places
+def poses_bytes(cells: int, places: int, most: int) -> int:
+    """Peak of choosing the poses of an atlas: the map's cells, places of the raster, poses."""
+    return 18 * cells + 2 * places + 60 * min(places, most)

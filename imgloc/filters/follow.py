@@ -287,9 +287,7 @@ class Follower:
         A pose outside of the map raises a ConfigError, which names the argument `given`; so does
         one that is not finite, or a deviation that is negative or not finite.
         """
-        if not all(0 <= value < np.inf for value in deviation):
-            raise ConfigError(f"{given}: deviation {deviation}, expected metres and radians from 0")
-        self.filter.place(_local(given, pose, self.features), deviation)
+        self.filter.place(start_of(given, pose, deviation, self.features), deviation)
 
     def begin_time(self) -> None:
         """Take a stamp before the last one: the clock was set back, or the last one was wrong."""
@@ -519,7 +517,7 @@ def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
 
 def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> None:
     """Raise a ConfigError for a kidnapping outside of the map or of the log's time."""
-    _local("kidnap", kidnap.pose, features)
+    on_map("kidnap", kidnap.pose, features)
     since = stamps - stamps[0]
     latest = float(np.max(since, initial=-np.inf, where=np.isfinite(since)))
     if not 0 <= kidnap.after <= latest:
@@ -527,7 +525,19 @@ def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> 
         raise ConfigError(f"kidnap: got {kidnap.after:g} s, expected {log}")
 
 
-def _local(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
+def start_of(
+    given: str, pose: Pose2D, deviation: tuple[float, float], features: MapFeatures
+) -> FloatArray:
+    """A pose to start at in the grid frame, (3,); a ConfigError that names `given` if it is none.
+
+    `deviation` has its standard deviations, metres and radians.
+    """
+    if not all(0 <= value < np.inf for value in deviation):
+        raise ConfigError(f"{given}: deviation {deviation}, expected metres and radians from 0")
+    return on_map(given, pose, features)
+
+
+def on_map(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
     """`pose` in the grid frame, (3,); a ConfigError that names `given` if it is not on the map."""
     if not np.isfinite([*pose]).all():
         raise ConfigError(f"{given}: got {pose}, expected finite metres and radians")

@@ -14,7 +14,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import cell_of, in_map_frame, inside, pose_errors, poses_of
+from imgloc.geometry import cell_of, in_map_frame, pose_errors, poses_of
 from imgloc.lab.evaluation import share
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import Options, Sensor
@@ -67,7 +67,8 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     Raises
     ------
     ConfigError, MapError
-        If there is no heading, or the step is not positive; if no place has the clearance.
+        If there is no heading, the step is not positive, or there are more poses than
+        :data:`MOST`, which are counted before they are made; if no place has the clearance.
 
     Examples
     --------
@@ -77,13 +78,19 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     """
     if not (np.isfinite(step) and step > 0 and headings >= 1):
         raise ConfigError(f"expected a positive step and a heading or more, got {step}, {headings}")
-    info = grid.info
+    info, free = grid.info, roomy(grid, clearance)
+    if (in_a_cell := info.resolution / step) > MOST:
+        check_count(int(in_a_cell), step)
     y, x = (np.arange(step / 2, side * info.resolution, step) for side in info.shape)
-    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    cells = cell_of(places, info.resolution)
-    on_map = inside(cells, info)
-    places, cells = places[on_map], cells[on_map]
-    places = places[roomy(grid, clearance)[cells[:, 0], cells[:, 1]]]
+    rows, columns = (cell_of(np.stack((v, v), axis=-1), info.resolution)[:, 0] for v in (y, x))
+    y, rows = y[rows < info.height], rows[rows < info.height]
+    x, columns = x[columns < info.width], columns[columns < info.width]
+    across = np.bincount(columns, minlength=info.width).astype(np.float32)
+    check_count(int(np.bincount(rows, minlength=info.height) @ (free @ across)) * headings, step)
+    # Only rows and columns that hold a place: in a fine raster the others are many.
+    some, other = (np.logical_or.reduce(free, axis)[at] for axis, at in ((1, rows), (0, columns)))
+    row, column = np.nonzero(free[np.ix_(rows[some], columns[other])])
+    places = np.column_stack((x[other][column], y[some][row]))
     if not len(places):
         raise MapError(
             f"no place on a raster of {step:g} m is {clearance:g} m away from what is not free; "
@@ -93,10 +100,10 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     return np.column_stack((places.repeat(headings, axis=0), np.tile(theta, len(places))))
 
 
-def check_count(poses: FloatArray, step: float) -> None:
-    """Refuse more poses (N, 3) than :data:`MOST`, at places `step` metres apart: a ConfigError."""
-    if len(poses) > MOST:
-        found = f"`step`: {len(poses):,} poses at places {step:g} m apart"
+def check_count(count: int, step: float) -> None:
+    """Refuse more poses than :data:`MOST`, at places `step` metres apart: a ConfigError."""
+    if count > MOST:
+        found = f"`step`: {count:,} poses at places {step:g} m apart"
         raise ConfigError(f"{found}, expected at most {MOST:,}; use a larger step")
 
 
@@ -191,7 +198,6 @@ def survey_part(
     """
     end, grid = time.monotonic() + seconds, features.grid
     poses = atlas_poses(grid, step, headings, Sensor().clearance)
-    check_count(poses, step)
     if start >= len(poses):
         raise ConfigError(f"start: got {start}, expected less than {len(poses)}")
     mixed = np.random.default_rng(0).permutation(len(poses) // headings)

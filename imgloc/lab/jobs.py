@@ -16,7 +16,7 @@ from imgloc.io.calibration import calibrated
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.atlas import AT_ONCE, TOP, Spot, atlas_poses, check_count, simulate_at, survey
+from imgloc.lab.atlas import AT_ONCE, MOST, TOP, Spot, atlas_poses, simulate_at, survey
 from imgloc.lab.atlas import summarise as summarise_atlas
 from imgloc.lab.changes import map_changes
 from imgloc.lab.evaluation import evaluate, method_options
@@ -165,13 +165,12 @@ class Atlas(Job):
         height, width = grid.occupied.shape
         sides = (round(cells * grid.resolution / self.step + 1) for cells in (height, width))
         desk.check(
-            poses_bytes(height * width, places := math.prod(sides), self.headings),
+            poses_bytes(height * width, places := math.prod(sides), MOST),
             f"{name}: {self.headings} headings at up to {places:,} places "
             f"on {height} x {width} cells",
             "use a larger `step` or fewer `headings`, crop the map",
         )
         poses = atlas_poses(grid, self.step, self.headings, self.sensor.clearance)
-        check_count(poses, self.step)
         workers = min(workers, max(1, len(poses) // _EACH))
         desk.check_simulation(
             grid, name, len(poses), self.sensor.rays, world=is_world(path, grid), at_once=AT_ONCE,

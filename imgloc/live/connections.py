@@ -1,93 +1,129 @@
-"""Connections that cost nothing: a head that does not come, and too many of them."""
+"""Connections: each state of one has a time, and there are never more than the bound.
+
+A client that is waited for, be it for a head, for a body or until it takes an answer, has so many
+seconds. If there are too many connections, the one whose client has been waited for longest makes
+room; if there is none, the next ones wait to be accepted. Some more are accepted all the same:
+those that ask whether the service runs (:data:`PROBES`) are answered, the others are refused.
+"""
 
 import asyncio
-import json
-from typing import Any, ClassVar
+import socket
+from typing import Any
 
+import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from imgloc.live.bounds import Bounds
 from imgloc.live.problems import MEDIA, Refused, problem_of
-from imgloc.live.requests import Bounds
+
+PROBES = ("/healthz", "/readyz", "/metrics")
+FULL = "full"  #: in the state of a scope: the connection is one too many
+_ROOM = 8  # connections beyond the bound
+_FRESH = 0.05  # seconds that a client has at least until it has to make room
+_LOOK = 0.25  # seconds between two looks at all connections
+_PAUSE = 0.01
 
 
 class _Connection(H11Protocol):
-    """A connection that is closed if no head of a request comes in time.
+    """A connection that knows since when its client is waited for."""
 
-    If there are too many, the one that has waited longest for a head is closed.
-    """
+    gate: "Gate"
+    since = 0.0
+    served = extra = gone = False  # one answer is complete; one too many; told to go
 
-    bounds: ClassVar[Bounds]
-    _head: asyncio.TimerHandle | None = None
+    @property
+    def state(self) -> str:
+        """What is waited for: a ``head``, a ``body``, ``send``, or ``work``: nothing."""
+        if self.flow.write_paused or self.transport.is_closing():
+            return "send"
+        if self.cycle is None or self.cycle.response_complete:
+            return "head"
+        return "body" if self.cycle.more_body else "work"
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._arm()
-        others = [c for c in self.connections if isinstance(c, _Connection) and c is not self]
-        if len(self.connections) <= self.bounds.connections:
-            return
-        idle = [c for c in others if c.idle and c._head is not None]
-        if idle:
-            min(idle, key=lambda c: c._head.when() if c._head else 0.0).transport.abort()
-        else:
-            transport.write(_full())
-            transport.close()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._disarm()
-        super().connection_lost(exc)
+        self.since = self.loop.time()
+        self.extra = not self.gate.make_room(self)
 
     def data_received(self, data: bytes) -> None:
+        self.extra = self.extra and not self.gate.make_room(self)
+        self.app_state[FULL] = self.extra
+        before = self.state
         super().data_received(data)
-        if not self.idle or self.transport.get_protocol() is not self:  # a WebSocket by now
-            self._disarm()
-        elif self._head is None:
-            self._arm()
-
-    @property
-    def idle(self) -> bool:
-        """Whether no request is being answered."""
-        return self.cycle is None or self.cycle.response_complete
+        if not before == "head" == self.state:  # a head that comes bit by bit is waited for
+            self.since = self.loop.time()
 
     def on_response_complete(self) -> None:
+        self.since, self.served = self.loop.time(), True
         super().on_response_complete()
-        if self.idle and not self.transport.is_closing():
-            self._arm()
 
-    def _arm(self) -> None:
-        self._disarm()
-        self._head = self.loop.call_later(self.bounds.patience, self._late)
-
-    def _disarm(self) -> None:
-        if self._head is not None:
-            self._head.cancel()
-            self._head = None
-
-    def _late(self) -> None:
-        self._head = None
-        if self.idle and not self.transport.is_closing():
-            self.transport.abort()
-
-    def handle_websocket_upgrade(self, event: Any) -> None:
-        self._disarm()
-        super().handle_websocket_upgrade(event)
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self.since = self.loop.time()
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002 (of the base)
-        problem = problem_of(Refused("bad-request", "this is no HTTP request"))
-        self.transport.write(_raw("400 Bad Request", dict(problem.document)))
+        body = problem_of(Refused("bad-request", "this is no HTTP request")).body
+        head = f"HTTP/1.1 400 Bad Request\r\nContent-Type: {MEDIA}\r\nConnection: close\r\n"
+        self.transport.write(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
         self.transport.close()
 
 
-def protocol_of(bounds: Bounds) -> type[H11Protocol]:
-    """The class of connections within some bounds, for uvicorn."""
-    return type("Connection", (_Connection,), {"bounds": bounds})
+class Gate:
+    """Accepts connections of a server, and closes those whose time is over.
 
+    Parameters
+    ----------
+    server : uvicorn.Server
+        It has started, without a socket.
+    bounds : Bounds
+    """
 
-def _full() -> bytes:
-    problem = problem_of(Refused("busy", "too many connections", retry=1))
-    return _raw("503 Service Unavailable", dict(problem.document), "Retry-After: 1\r\n")
+    def __init__(self, server: uvicorn.Server, bounds: Bounds) -> None:
+        self._server, self._bounds = server, bounds
+        self._there: Any = server.server_state.connections
+        self._loop, self._closing = asyncio.get_running_loop(), dict[Any, float]()
 
+    async def accept(self, one: socket.socket) -> None:
+        """Accept who comes to a socket, for ever."""
+        while True:
+            while len(self._there) >= self._bounds.connections + _ROOM:
+                await asyncio.sleep(0 if self.make_room() else _PAUSE)
+            try:
+                client, _ = await self._loop.sock_accept(one)
+                await self._loop.connect_accepted_socket(self._made, client)
+            except OSError:  # there is no descriptor, or the client has gone
+                await asyncio.sleep(_PAUSE)
 
-def _raw(status: str, document: dict[str, Any], more: str = "") -> bytes:
-    body = json.dumps(document).encode()
-    head = f"HTTP/1.1 {status}\r\nContent-Type: {MEDIA}\r\n{more}"
-    return f"{head}Content-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body
+    def _made(self) -> _Connection:
+        made = _Connection(self._server.config, self._server.server_state, {}, self._loop)
+        made.gate = self
+        return made
+
+    def make_room(self, for_: _Connection | None = None) -> bool:
+        """Close whom we wait for longest, if there are too many; whether that is enough."""
+        there = [one for one in self._there if not getattr(one, "gone", False)]
+        if len(there) <= self._bounds.connections:
+            return True
+        late = self._loop.time() - _FRESH
+        idle = [one for one in there if isinstance(one, _Connection) and one is not for_
+                and one.state != "work" and one.since < late]  # fmt: skip
+        many = len(there) - self._bounds.connections
+        for one in sorted(idle, key=lambda one: (one.served, one.since))[:many]:
+            one.gone = True
+            one.transport.abort()
+        return len(idle) >= many
+
+    async def watch(self) -> None:
+        """Close, again and again, connections whose client has let us wait for too long."""
+        while True:
+            await asyncio.sleep(_LOOK)
+            now = self._loop.time()
+            late, there = now - self._bounds.patience, list(self._there)
+            shut = [one for one in there if one.transport.is_closing()]
+            self._closing = {one: self._closing.get(one, now) for one in shut}
+            for one in there:
+                since = self._closing.get(one, now)
+                if isinstance(one, _Connection) and one.state in ("head", "send"):
+                    since = min(since, one.since)
+                if since < late:
+                    one.transport.abort()

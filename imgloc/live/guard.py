@@ -113,7 +113,8 @@ class Access:
             raise Refused("unauthorized", f"the token is missing or wrong, expected {hint}")
 
     def _has_token(self, scope: Scope, headers: Mapping[str, list[str]]) -> bool:
-        given = [v[7:].strip() for v in headers.get("authorization", []) if v[:7] == "Bearer "]
+        given = [v[7:].strip() for v in headers.get("authorization", [])
+                 if v[:7].lower() == "bearer "]  # fmt: skip
         for protocol in scope.get("subprotocols", []):
             if protocol.startswith(_PROTOCOL):
                 text = protocol.removeprefix(_PROTOCOL)
@@ -164,13 +165,46 @@ def headers_of(scope: Scope) -> dict[str, list[str]]:
     return out
 
 
+class Bodies:
+    """The memory that the bodies of all requests take together.
+
+    >>> bodies = Bodies(10)
+    >>> bodies.take(8)
+    >>> bodies.take(8)
+    Traceback (most recent call last):
+        ...
+    imgloc.live.problems.Refused: the bodies of other requests fill the memory; come back in a \
+second
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most, self.held = most, 0
+
+    def take(self, count: int) -> None:
+        """Count some bytes more; they are refused if these are too many."""
+        if self.held + count > self.most:
+            found = "the bodies of other requests fill the memory"
+            raise Refused("busy", f"{found}; come back in a second", retry=1)
+        self.held += count
+
+
+def ending() -> Refused:
+    """What is told to whoever asks while the service ends."""
+    return Refused("stopping", "the service ends; ask another one", retry=5)
+
+
 async def read_body(
-    scope: Scope, receive: Receive, *, limit: int, seconds: float, stopping: asyncio.Event
-) -> bytes:
-    """The body of a request, of at most `limit` bytes, if it comes within so many seconds."""
-    said = headers_of(scope).get("content-length", ["0"])[0]
-    if int(said) > limit:
-        raise Refused("too-large", f"{int(said):,} bytes, expected a body of at most {limit:,}")
+    scope: Scope, receive: Receive, *, limit: int, seconds: float, stopping: asyncio.Event,
+    bodies: Bodies,
+) -> bytes:  # fmt: skip
+    """The body of a request, of at most `limit` bytes, if it comes within so many seconds.
+
+    Its bytes are counted in `bodies` and, to be given back, under ``body`` of the scope.
+    """
+    expected = f"expected a body of at most {limit:,} bytes"
+    said = int(headers_of(scope).get("content-length", ["0"])[0])
+    if said > limit:
+        raise Refused("too-large", f"{said:,} bytes, {expected}")
     data, ended = bytearray(), False
     stop = asyncio.ensure_future(stopping.wait())
     try:
@@ -180,14 +214,17 @@ async def read_body(
                 await asyncio.wait((part, stop), return_when=asyncio.FIRST_COMPLETED)
                 if not part.done():
                     part.cancel()
-                    raise Refused("stopping", "the service ends; ask another one", retry=5)
+                    raise ending()
                 message = part.result()
                 if message["type"] == "http.disconnect":
                     raise Gone
-                data += message.get("body", b"")
+                some = message.get("body", b"")
+                if len(data) + len(some) > limit:
+                    raise Refused("too-large", expected)
+                bodies.take(len(some))
+                scope["body"] = scope.get("body", 0) + len(some)
+                data += some
                 ended = not message.get("more_body", False)
-                if len(data) > limit:
-                    raise Refused("too-large", f"expected a body of at most {limit:,} bytes")
     except TimeoutError:
         found = f"{len(data):,} bytes came in {seconds:g} s"
         raise Refused("too-slow", f"{found}, expected the whole body") from None

@@ -1,55 +1,71 @@
 """What clients have sent and will ask about again: at most so many, the one not used longest goes.
 
+Each has an id that nobody can guess, so that it belongs to the client that sent it.
+
 >>> held = Held(2)
->>> [held.put(name, name.upper()) for name in ("a", "b")], held.get("a"), held.put("c", "C")
-([(), ()], 'A', ('b',))
+>>> ids = [held.put(text)[0] for text in "ab"]
+>>> held.get(ids[0]), held.put("c")[1] == (ids[1],)
+('a', True)
 """
 
-import threading
+import secrets
 from collections import OrderedDict
+from collections.abc import Callable
+from threading import Lock
 from typing import Generic, TypeVar
 
 from imgloc.live.problems import Refused
 
 T = TypeVar("T")
+ID = "[0-9a-f]{32}"  #: what an id looks like
 
 
 class Held(Generic[T]):
-    """Things by name, `most` at a time, of `weight` together; all methods are safe in threads."""
+    """Things by id, `most` at a time, of `weight` together; all methods are safe in threads.
 
-    def __init__(self, most: int, weight: int | None = None) -> None:
-        self._most, self._weight = most, weight
+    What is `used` does not have to make room.
+    """
+
+    def __init__(
+        self,
+        most: int,
+        weight: int | None = None,
+        what: str = "upload",
+        used: Callable[[str], object] = lambda _: False,
+    ) -> None:
+        self._most, self._weight, self._what, self._used = most, weight, what, used
         self._things: OrderedDict[str, tuple[T, int]] = OrderedDict()
-        self._lock = threading.Lock()
+        self._lock = Lock()
 
-    def put(self, name: str, thing: T, weight: int = 0) -> tuple[str, ...]:
-        """Hold a thing; return the names of those that had to go."""
-        gone: list[str] = []
+    def put(self, thing: T, weight: int = 0) -> tuple[str, tuple[str, ...]]:
+        """Hold a thing; return its id, and those that had to go. Refused if none of these may."""
         with self._lock:
-            self._things.pop(name, None)
-            self._things[name] = thing, weight
-            while len(self._things) > 1 and (len(self._things) > self._most or self._heavy()):
-                gone.append(self._things.popitem(last=False)[0])
-        return tuple(gone)
+            left = OrderedDict(self._things)
+            while left and (len(left) >= self._most or self._heavy(weight, left)):
+                idle = next((id_ for id_ in left if not self._used(id_)), None)
+                if idle is None:
+                    raise Refused("busy", f"each {self._what} that is held is in use", retry=5)
+                del left[idle]
+            gone = tuple(self._things.keys() - left.keys())
+            self._things, id_ = left, secrets.token_hex(16)
+            self._things[id_] = thing, weight
+        return id_, gone
 
-    def _heavy(self) -> bool:
-        together = sum(weight for _, weight in self._things.values())
+    def _heavy(self, weight: int, things: "OrderedDict[str, tuple[T, int]]") -> bool:
+        together = weight + sum(one for _, one in things.values())
         return self._weight is not None and together > self._weight
 
-    def get(self, name: str, what: str = "upload") -> T:
-        """The thing of that name; it is refused if there is none, or none any more."""
+    def get(self, id_: str, *, drop: bool = False) -> T:
+        """The thing of that id, which is forgotten on demand; refused if there is none any more."""
         with self._lock:
-            if name not in self._things:
+            if id_ not in self._things:
                 hint = "it was never sent, or had to make room; send it again"
-                raise Refused("not-found", f"no {what} {name[:100]!r}: {hint}")
-            self._things.move_to_end(name)
-            return self._things[name][0]
+                raise Refused("not-found", f"no {self._what} {id_[:100]!r}: {hint}")
+            self._things.move_to_end(id_)
+            return (self._things.pop(id_) if drop else self._things[id_])[0]
 
-    def drop(self, name: str, what: str = "upload") -> None:
-        """Forget the thing of that name."""
-        self.get(name, what)
-        with self._lock:
-            self._things.pop(name, None)
+    def __contains__(self, id_: str) -> bool:
+        return id_ in self._things
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._things
+    def __len__(self) -> int:
+        return len(self._things)

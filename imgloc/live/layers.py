@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from skimage.draw import polygon
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
@@ -106,11 +105,17 @@ def region_cells(grid: OccupancyGrid, corners: FloatArray) -> BoolArray:
     >>> region_cells(grid, corners).tolist()
     [[True, True, False], [False, False, False]]
     """
-    xy = np.array([(p.x, p.y) for p in (in_grid_frame(Pose2D(x, y), grid) for x, y in corners)])
-    cells = np.zeros(grid.occupied.shape, np.bool_)
-    x, y = (xy / grid.resolution - 0.5).T
-    rows, columns = polygon(y, x, cells.shape)
-    cells[rows, columns] = True
+    placed = [in_grid_frame(Pose2D(x, y), grid) for x, y in corners]
+    x, y = np.array([(p.x, p.y) for p in placed]).T / grid.resolution - 0.5
+    height, width = grid.occupied.shape
+    rows = np.arange(height)[:, None]
+    row, edge = np.nonzero((y <= rows) != (np.roll(y, -1) <= rows))  # that the edge crosses
+    x2, y2 = np.roll(x, -1)[edge], np.roll(y, -1)[edge]
+    at = x[edge] + (row - y[edge]) * (x2 - x[edge]) / (y2 - y[edge])
+    # In a row, the polygon begins and ends at every second crossing.
+    turns = np.zeros((height, width + 1), np.uint8)
+    np.add.at(turns, (row, np.clip(np.ceil(at), 0, width).astype(np.intp)), 1)
+    cells = np.bitwise_xor.accumulate(turns & 1, axis=1)[:, :width].view(np.bool_)
     if not cells.any():
         raise ConfigError("region: it holds no cell of the map, expected some")
     return cells

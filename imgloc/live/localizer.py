@@ -26,7 +26,7 @@ from typing import Any, Generic, TypeVar
 from imgloc.choice.choose import OPTIONS, Choice, Opened, bounds_at, choose, search
 from imgloc.choice.folder_index import MapIndex, index_of
 from imgloc.errors import ConfigError, expect
-from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking
+from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking, start_of
 from imgloc.live.line import Dropped, Key, Line
 from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
@@ -322,21 +322,29 @@ class Localizer:
         *,
         known: Known | None = None,
         source: Hashable = None,
+        at: Site | None = None,
     ) -> "Future[Answer[Localization]]":
-        """Return a future of :meth:`localize` at once; Dropped if the map is not prepared yet."""
+        """Return a future of :meth:`localize` at once; Dropped if the map is not prepared yet.
+
+        `at` is the map itself, if the caller has looked for the name before.
+        """
         expect(scan, LaserScan, "scan")
-        name = self._entry(map)[0]
-        self._ready(name)
+        name = self._entry(map)[0] if at is None else str(map)
+        if at is None:
+            self._ready(name)
         key = Key("localize", source)
 
         def work(waited: float) -> Answer[Localization]:
             begin = time.perf_counter()
-            entry, site = self._ready(name)
+            era, site = 0, at
+            if site is None:
+                entry, site = self._ready(name)
+                era = entry.era
             how = site.options(options or self.options)
             if known is not None:
                 how = replace(how, prior=how.prior & prior_of(known, site.features.grid))
             found = localize(site.features, scan, how)
-            return self._answer(found, name, scan, key, waited, begin, entry.era)
+            return self._answer(found, name, scan, key, waited, begin, era)
 
         return self._line.put(key, work)
 
@@ -687,7 +695,7 @@ class Robot:
         """
         name = self.map if map is None else map
         site = self._core._ready(name)[1]
-        self._made(site, "pose").place(pose, deviation)
+        start_of("pose", pose, deviation, site.features)
         with self._lock:
             self.reset(map)
             self._start = pose, deviation

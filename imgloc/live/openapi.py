@@ -5,139 +5,107 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from imgloc import options as opt
 from imgloc.__about__ import __version__
 from imgloc.io.scanset import MAX_RAYS
+from imgloc.live import parameters
+from imgloc.live.held import ID
 from imgloc.live.parameters import PLACE, TURN, Flag, Number, Numbers, Parameter, Text, Word
 from imgloc.live.problems import KINDS, MEDIA
 from imgloc.live.requests import NAME, NAME_WORDS
+from imgloc.model import MOUNTED
 
-_DEVIATION = (0.001, 3.2)  # radians that a heading may be off
-_RADIUS = (0.01, 1e6)  # metres
-_METHODS = ("fused", "cbml", "cbml-o", "ght", "ght-v", "beam")
-STACKS = _METHODS[1:]
-FILTERS = ("tracker", "grid", "particle")
+STACKS = tuple(opt.METHODS)
 LAYERS = ("bmap", "distance", "vmap")
 _FILE = r"[^\x00-\x1f/\\]{1,200}"
 _LIST = r"(\d{1,9}|\d{0,9}:\d{0,9}(:0{0,9}[1-9]\d{0,8})?)"
-INDEX_WORDS = "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between"
-X_Y_YAW = Numbers(3, (PLACE, PLACE, TURN))
+_INDEX_WORDS = "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between"
+_X_Y_YAW = Numbers(3, (PLACE, PLACE, TURN))
+_HELD_ID = Text(ID, 32, "an id")
 
 MAP = Parameter(
     "map",
-    "Name of the map. Without it: the only one given at the start, or else the only one sent.",
+    "Name of a map of the service, or id of one that was sent. Without it: the service's only map.",
     Text(NAME, 100, NAME_WORDS),
 )
-SCANS_ID = Parameter(
-    "scans",
-    "Scans that were sent before, instead of a body.",
-    Text("[0-9a-f]{16}", 16, "an id"),
-)
-FILE = Parameter(
+_SCANS_ID = Parameter("scans", "Scans that were sent before, instead of a body.", _HELD_ID)
+_FILE_NAME = Parameter(
     "name",
     "Name of the file of scans. Its ending sets the format; without it the content decides.",
     Text(_FILE, 200, "a file name"),
 )
-INDEX = Parameter(
+_CHOSEN = Parameter(
     "index",
-    f"Only these scans of a file: {INDEX_WORDS}.",
-    Text(f"{_LIST}(,{_LIST}){{0,99}}", 2000, INDEX_WORDS),
+    f"Only these scans of a file: {_INDEX_WORDS}.",
+    Text(f"{_LIST}(,{_LIST}){{0,99}}", 2000, _INDEX_WORDS),
 )
-TOPIC = Parameter(
+_TOPIC = Parameter(
     "topic", "Laser to read from a log that has several.", Text(r"[!-~]{1,200}", 200, "a name")
 )
-FOV = Parameter(
-    "fov_deg",
-    "Angle from the first to the last ray, for a file that does not contain it.",
-    Number(0.01, 360, "degrees"),
-)
-SCALE = Parameter("range_scale", "Metres that a range of 1 stands for.", Number(1e-6, 1e6), 1.0)
-CUT = Parameter(
-    "range_max", "Reach: a longer reading counts as no return.", Number(1e-3, 1e6, "metres")
-)
-SENSOR = Parameter(
+_SCALE = Parameter.of(opt.Logs, "scale", "range_scale", default=1.0)
+_SENSOR = Parameter(
     "sensor",
     "Pose of the sensor on the robot (x, y, yaw); answers then contain poses of the base.",
-    Numbers(3, ((-5.0, 5.0), (-5.0, 5.0), TURN)),
+    Numbers(3, ((-MOUNTED, MOUNTED), (-MOUNTED, MOUNTED), TURN)),
 )
-FLIPPED = Parameter(
-    "flipped", "The sensor is upside down: its angles run clockwise.", Flag(), False
-)
-TAKEN = (SCALE, CUT, SENSOR, FLIPPED)
-READ = (FILE, TOPIC, FOV)
-SCANS = (SCANS_ID, *READ, INDEX, *TAKEN)
-HEADING = Parameter(
-    "heading", "Only poses that face this heading, up to a deviation.",
-    Numbers(1, (TURN, _DEVIATION)),
+TAKEN = (
+    _SCALE, Parameter.of(opt.Logs, "range_max"), _SENSOR,
+    Parameter.of(opt.Mounting, "flipped", default=False),
 )  # fmt: skip
-CLEARANCE = Parameter(
-    "clearance",
-    "Only poses at least this far from walls and unknown space: the radius of the robot.",
-    Number(0, 1000, "metres"),
+_READ = (_FILE_NAME, _TOPIC, Parameter.of(opt.Logs, "fov", "fov_deg"))
+_SCANS = (_SCANS_ID, *_READ, _CHOSEN, *TAKEN)
+_HEADING = Parameter(
+    "heading",
+    "Only poses that face this heading, up to a deviation.",
+    Numbers(1, (TURN, parameters.OFF)),
 )
-REGION = Parameter(
+_CLEARANCE = Parameter.of(opt.Known, "clearance")
+_REGION = Parameter(
     "region", "Only poses in this polygon: x1, y1, x2, y2 and so on, map frame, metres.",
     Numbers(6, (PLACE,) * 200),
 )  # fmt: skip
-PRIOR = (
-    Parameter(
-        "near",
-        "Only poses near this one: x, y, yaw, then radius and deviation of the heading.",
-        Numbers(3, (PLACE, PLACE, TURN, _RADIUS, _DEVIATION)),
-    ),
-    HEADING,
-    CLEARANCE,
-    REGION,
-)
-METHOD = Parameter(
-    "method", "Localization method; fused is the default of imgloc.", Word(_METHODS), "fused"
-)
+DOUBTS = (
+    MAP, *_SCANS,
+    Parameter("near", "Only poses near this one: x, y, yaw, then radius and deviation of the "
+              "heading.", Numbers(3, (PLACE, PLACE, TURN, parameters.NEAR, parameters.OFF))),
+    _HEADING, _CLEARANCE, _REGION,
+)  # fmt: skip
 LOCALIZE = (
-    MAP, *SCANS, *PRIOR, METHOD,
-    Parameter("top", "Number of hypotheses to list.", Number(1, 1000, "hypotheses", whole=True)),
-    Parameter("theta_step_deg", "Step between headings, degrees.", Number(0.5, 180, "degrees")),
+    *DOUBTS,
+    Parameter.of(opt.Options, "method", default=opt.FUSED), Parameter.of(opt.Options, "top"),
+    Parameter.of(opt.Options, "theta_step", "theta_step_deg"),
     Parameter("exact", "Search by branch and bound, for fused and cbml.", Flag(), False),
 )  # fmt: skip
-WHICH = (*SCANS, HEADING, CLEARANCE)
+WHICH = (*_SCANS, _HEADING, _CLEARANCE)
 FIT = (
-    MAP, *SCANS,
-    Parameter("pose", "Pose of the sensor: x, y, yaw, map frame.", X_Y_YAW, needed=True),
-    Parameter("scale", "Factor of all ranges: evidence.scale of an answer.",
-              Number(0.5, 2)),
-    Parameter("thinner", "Metres that walls lose on each side: evidence.thinner.",
-              Number(0, 10, "metres")),
-    Parameter("bent", "Metres that pieces of wall stand off: evidence.bent.",
-              Number(0, 1, "metres")),
+    MAP, *_SCANS,
+    Parameter("pose", "Pose of the sensor: x, y, yaw, map frame.", _X_Y_YAW, needed=True),
+    Parameter.of(opt.Shared, "scale", about="Factor of all ranges: evidence.scale of an answer."),
+    Parameter.of(opt.Drawn, "thinner", about="Metres each side of a wall loses: evidence.thinner."),
+    Parameter.of(opt.Drawn, "bent", about="Metres that pieces of wall stand off: evidence.bent."),
 )  # fmt: skip
 UPLOAD = (
-    Parameter("name", "Name of the map.", Text(NAME, 100, NAME_WORDS)),
-    Parameter("resolution", "Metres per cell.", Number(0.001, 10, "metres")),
-    Parameter("origin", "Pose of the lower-left corner: x, y, yaw.", X_Y_YAW),
-    Parameter("mode", "How map_server reads greys.", Word(("trinary", "scale", "raw"))),
-    Parameter(
-        "semantics",
-        "Whose map_server: thresholds and transparency.",
-        Word(("nav2", "ros1")),
-        "nav2",
-    ),
-    Parameter("occupied_thresh", "Occupancy from which a pixel is a wall.", Number(0, 1)),
-    Parameter("free_thresh", "Occupancy up to which a pixel is free.", Number(0, 1)),
-    Parameter("negate", "White pixels are walls.", Flag()),
+    Parameter("name", "What the map is called; its id is another.", Text(NAME, 100, NAME_WORDS)),
+    Parameter("origin", "Pose of the lower-left corner: x, y, yaw.", _X_Y_YAW),
+    *(Parameter.of(opt.Reading, key) for key in
+      ("resolution", "mode", "occupied_thresh", "free_thresh", "negate")),
+    Parameter.of(opt.Reading, "semantics", default="nav2"),
     Parameter("allow_lossy", "Accept a JPEG or a lossy WebP.", Flag(), False),
-)
-UPLOAD_SCANS = (*READ, SCALE)
+)  # fmt: skip
 PAGE = (
     Parameter("start", "The first scan of the page.", Number(0, 1e9, "scans", whole=True), 0),
     Parameter("count", "Scans of the page.", Number(1, 200, "scans", whole=True), 20),
+    *TAKEN,
 )
-_HELD = Parameter("scans", "Scans that were sent before.", SCANS_ID.kind, needed=True)
+_HELD = Parameter("scans", "Scans that were sent before.", _HELD_ID, needed=True)
 LIKELIHOOD = (
-    MAP, _HELD, INDEX, *TAKEN,
+    MAP, _HELD, _CHOSEN, *TAKEN,
     Parameter("method", "Method of the likelihood.", Word(STACKS), "cbml"),
     Parameter("slice", "Number of the heading, or max for the best over all.",
               Text(r"max|\d{1,5}", 5, "a number, or max"), "max"),
 )  # fmt: skip
 ATLAS = (
-    MAP, _HELD, INDEX, *TAKEN,
+    MAP, _HELD, _CHOSEN, *TAKEN,
     Parameter("step", "Metres between two places.", Number(0.05, 1000, "metres"), 2.0),
     Parameter("headings", "Headings at each place.", Number(1, 72, whole=True), 1),
     Parameter("start", "First pose: next of the last answer.", Number(0, 1e9, whole=True), 0),
@@ -146,12 +114,11 @@ VISIBILITY = (
     MAP,
     Parameter("at", "x, y, map frame, metres.", Numbers(2, (PLACE, PLACE)), needed=True),
 )
-REGION_LAYER = (MAP, Parameter("region", REGION.about, REGION.kind, needed=True))
 TRACK = (
     MAP, *TAKEN,
-    Parameter("filter", "Filter that follows the robot.", Word(FILTERS), "tracker"),
-    Parameter("seed", "Seed of the random numbers.", Number(0, 2**31, whole=True), 0),
-    Parameter("start", "Rough pose at the beginning: x, y, yaw.", X_Y_YAW),
+    Parameter.of(opt.Followed, "filter", default="tracker"),
+    Parameter.of(opt.Followed, "seed", default=0),
+    Parameter("start", "Rough pose at the beginning: x, y, yaw.", _X_Y_YAW),
     Parameter("places", "Add the places of the belief to each line.", Flag(), False),
 )  # fmt: skip
 
@@ -196,6 +163,7 @@ _SCHEMAS: Mapping[str, Any] = {
             "angle_min": _OR_NULL, "angle_max": _OR_NULL, "angle_increment": _OR_NULL,
             "range_min": {"type": ["number", "null"], "minimum": 0},
             "range_max": {"type": ["number", "null"], "exclusiveMinimum": 0},
+            "time_increment": _NULL_NUMBER,
             "stamp": {
                 "description": "Seconds, or the stamp of a ROS message.",
                 "anyOf": [
@@ -208,9 +176,9 @@ _SCHEMAS: Mapping[str, Any] = {
         "required": ["ranges"],
     },
     "Map": _object(
-        "name width height resolution origin uploaded version",
-        name=_WORD, width=_WHOLE, height=_WHOLE, resolution=_NUMBER, origin=_AT, free_m2=_NUMBER,
-        uploaded=_YES, version=_WORD, path={"type": ["string", "null"]},
+        "id name width height resolution origin uploaded version",
+        id=_WORD, name=_WORD, width=_WHOLE, height=_WHOLE, resolution=_NUMBER, origin=_AT,
+        free_m2=_NUMBER, uploaded=_YES, version=_WORD, path={"type": ["string", "null"]},
         warnings=_WARNINGS,
     ),
     "Scans": _object(
@@ -283,115 +251,107 @@ def _ref(name: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Operation:
-    """What one request does."""
+    """What one request does: a row of the table of routes."""
 
+    method: str
     path: str
+    run: str  #: what answers it: a method of the service, without its underscore
+    lane: str  #: where it is computed, in the time of an answer; empty: at once, from what is there
     about: str
-    answer: Mapping[int, tuple[str, Mapping[str, Any]]]  #: by status: in words, and its content
+    answer: str  #: in words
+    content: Mapping[str, Any]  #: of the answer
     parameters: Sequence[Parameter] = ()
+    #: its body: media types; one that is needed is in the time and within the limit of all bodies
     body: Mapping[str, Any] = field(default_factory=dict)
-    method: str = "get"
+    problems: Sequence[int] = ()  #: besides those that follow from the rest
+    status: int = 200
     needs_body: bool = False
-    problems: Sequence[int] = ()  #: besides those that every request may have
 
     def document(self) -> dict[str, Any]:
         """The operation object of OpenAPI."""
         parameters = [_path_of(name) for name in ("name", "id") if f"{{{name}}}" in self.path]
-        parameters += [_parameter(one) for one in self.parameters]
-        responses = {
-            str(status): {"description": words, **({"content": content} if content else {})}
-            for status, (words, content) in self.answer.items()
-        }
+        common = {400, 401, 403, 405, *self.problems, *((404,) if "{" in self.path else ())}
+        for there, some in ((self.parameters, (404, 422)), (self.lane, (503, 504)),
+                            (self.body, (408, 413, 415, 503))):  # fmt: skip
+            common |= set(some) if there else set()
+        ok = {"description": self.answer, **({"content": self.content} if self.content else {})}
+        responses = {str(self.status): ok}
         content = {MEDIA: {"schema": {"$ref": "#/components/schemas/Problem"}}}
-        common = (400, 401, 403, 405, *self.problems)
-        for status in sorted({*common, *((404, 422) if self.parameters else ())}):
+        for status in sorted(common):
             title = next(title for number, title in KINDS.values() if number == status)
             responses[str(status)] = {"description": title, "content": content}
+        parameters += [_parameter(one) for one in self.parameters]
         out: dict[str, Any] = {"summary": self.about, "parameters": parameters}
         if self.body:
             out["requestBody"] = {"required": self.needs_body, "content": self.body}
         return out | {"responses": responses}
 
 
-_BODY, _LOOK = (408, 413, 415, 503, 504), (503, 504)  # problems of what has a body, of a look
 _PNG: Mapping[str, Any] = {"image/png": {}}
 _OBJECT: Mapping[str, Any] = {"application/json": {"schema": {"type": "object"}}}
 _LINES: dict[str, Any] = {"application/x-ndjson": {"schema": {"type": "string"}}}
-
-
-def _get(
-    path: str, about: str, words: str, content: Mapping[str, Any],
-    parameters: Sequence[Parameter] = (), problems: Sequence[int] = (),
-) -> Operation:  # fmt: skip
-    return Operation(path, about, {200: (words, content)}, parameters, problems=problems)
-
-
-def _delete(path: str, about: str, words: str, *problems: int) -> Operation:
-    return Operation(path, about, {204: (words, {})}, method="delete", problems=problems)
-
-
-def _ask(
-    name: str, about: str, words: str, content: Mapping[str, Any], parameters: Sequence[Parameter]
-) -> Operation:
-    """What is asked about scans, which are in the body or were sent before."""
-    answer = {200: (words, content)}
-    return Operation(f"/v1/{name}", about, answer, parameters, SCAN_BODY, "post", problems=_BODY)
-
-
-def _send(
-    path: str, about: str, answer: Mapping[int, tuple[str, Mapping[str, Any]]],
-    parameters: Sequence[Parameter], body: Mapping[str, Any], *problems: int,
-) -> Operation:  # fmt: skip
-    """What needs a body."""
-    return Operation(
-        path, about, answer, parameters, body, "post", needs_body=True, problems=(*problems, *_BODY)
-    )
-
-
 #: A body of scans: its media types. One of JSON is one scan.
-SCAN_BODY: Mapping[str, Any] = _ref("LaserScan") | _BYTES
+_SCAN_BODY: Mapping[str, Any] = _ref("LaserScan") | _BYTES
 _ROWS = "A JSON object; of several scans, one a line."
+_SENT: dict[str, Any] = {"status": 201, "needs_body": True}
+#: The table of routes. Without a lane nothing is computed; "files" reads what is large, "looks"
+#: answers what is small, "layers" draws, and "answers" is the core's own thread.
 OPERATIONS = (
-    _get("/healthz", "Whether the service runs.", "It runs.", _OBJECT),
-    _get("/readyz", "Whether all maps are prepared.", "All maps are prepared.", _OBJECT,
-         problems=(503,)),
-    _get("/metrics", "Counts and times.", "Prometheus' text.", {"text/plain": {}}),
-    _get("/v1/openapi.json", "This document.", "OpenAPI 3.1.", _OBJECT),
-    _get("/v1/maps", "The maps of the service.", "Their list.", _OBJECT),
-    _send("/v1/maps", "Send a map: its image, or a form with its image and YAML.",
-          {201: ("The map, prepared.", _ref("Map"))}, UPLOAD, _MAP_BODY, 409),
-    _get("/v1/maps/{name}", "A map.", "The map.", _ref("Map"), problems=(404, 503)),
-    _delete("/v1/maps/{name}", "Forget a map that was sent.", "It is gone.", 404, 409, 503),
-    _get("/v1/maps/{name}/image", "A map as an image: occupied 0, unknown 205, free 254.", "PNG.",
-         _PNG, problems=(404, 503)),
-    _send("/v1/scans", "Send a file of scans, to ask about them again and again.",
-          {201: ("What is in it.", _ref("Scans"))}, UPLOAD_SCANS, SCAN_BODY),
-    _get("/v1/scans/{id}", "Scans that were sent, some at a time.", "Them.", _ref("Scans"), PAGE,
-         _LOOK),
-    _delete("/v1/scans/{id}", "Forget scans that were sent.", "They are gone.", 404),
-    _send("/v1/scans/{id}/marked",
-          "Some of these scans with poses that are known now, as `imgloc.save_scans` writes them.",
-          {200: ("NPZ.", _BYTES)}, (), _ref("Marks"), 404, 422),
-    _ask("localize", "Where scans are on a map: the JSON of `imgloc localize`.", _ROWS,
-         _ref("Answer") | _LINES, LOCALIZE),
-    _ask("which", "The map that scans are from: the JSON of `imgloc which`.", _ROWS,
-         _ref("Choice") | _LINES, WHICH),
-    _ask("score", "How a scan fits at a pose.", "The fit.", _ref("Fit"), FIT),
-    _ask("settle", "How a scan fits at the best pose nearby.", "The fit.", _ref("Fit"), FIT),
+    Operation("get", "/healthz", "health", "", "Whether the service runs.", "It runs.", _OBJECT),
+    Operation("get", "/readyz", "ready", "", "Whether all maps are prepared.",
+              "All maps are prepared.", _OBJECT, problems=(503,)),
+    Operation("get", "/metrics", "metrics_text", "", "Counts and times.", "Prometheus' text.",
+              {"text/plain": {}}),
+    Operation("get", "/v1/openapi.json", "document", "", "This document.", "OpenAPI 3.1.", _OBJECT),
+    Operation("get", "/v1/maps", "list", "looks", "The maps of the service.", "Their list.",
+              _OBJECT),
+    Operation("post", "/v1/maps", "send_map", "files",
+              "Send a map: its image, or a form with its image and YAML. Its id is a secret.",
+              "The map, prepared.", _ref("Map"), UPLOAD, _MAP_BODY, **_SENT),
+    Operation("get", "/v1/maps/{name}", "map", "looks", "A map, by its name or id.", "The map.",
+              _ref("Map")),
+    Operation("delete", "/v1/maps/{name}", "drop_map", "", "Forget a map that was sent.",
+              "It is gone.", {}, problems=(409, 503), status=204),
+    Operation("get", "/v1/maps/{name}/image", "image", "looks",
+              "A map as an image: occupied 0, unknown 205, free 254.", "PNG.", _PNG),
+    Operation("post", "/v1/scans", "send_scans", "files",
+              "Send a file of scans, to ask about them again and again. Its id is a secret.",
+              "What is in it.", _ref("Scans"), (*_READ, _SCALE), _SCAN_BODY, **_SENT),
+    Operation("get", "/v1/scans/{id}", "some_scans", "looks",
+              "Scans that were sent, some at a time.", "Them.", _ref("Scans"), PAGE),
+    Operation("delete", "/v1/scans/{id}", "drop_scans", "", "Forget scans that were sent.",
+              "They are gone.", {}, status=204),
+    Operation("post", "/v1/scans/{id}/marked", "marked", "files",
+              "Some of these scans with poses that are known now, as `imgloc.save_scans` writes "
+              "them.", "NPZ.", _BYTES, (), _ref("Marks"), problems=(422,), needs_body=True),
+    Operation("post", "/v1/localize", "localize", "answers",
+              "Where scans are on a map: the JSON of `imgloc localize`, with map and version.",
+              _ROWS, _ref("Answer") | _LINES, LOCALIZE, _SCAN_BODY),
+    Operation("post", "/v1/which", "which", "answers",
+              "The map that scans are from: the JSON of `imgloc which`.", _ROWS,
+              _ref("Choice") | _LINES, WHICH, _SCAN_BODY),
+    Operation("post", "/v1/doubts", "doubts", "layers",
+              "What most likely keeps a scan from fitting: the hints of `imgloc localize`.",
+              "Sentences.", _OBJECT, DOUBTS, _SCAN_BODY),
+    Operation("post", "/v1/score", "fit", "looks", "How a scan fits at a pose.", "The fit.",
+              _ref("Fit"), FIT, _SCAN_BODY),
+    Operation("post", "/v1/settle", "fit", "looks", "How a scan fits at the best pose nearby.",
+              "The fit.", _ref("Fit"), FIT, _SCAN_BODY),
     *(
-        _get(f"/v1/layers/{name}", f"The {name} of a map.", "PNG.", _PNG, (MAP,), _LOOK)
+        Operation("get", f"/v1/layers/{name}", "feature", "layers", f"The {name} of a map.", "PNG.",
+                  _PNG, (MAP,))
         for name in LAYERS
     ),
-    _get("/v1/layers/likelihood", "A likelihood of all poses, at one heading or over all.", "PNG.",
-         _PNG, LIKELIHOOD, _LOOK),
-    _get("/v1/layers/atlas",
-         "Places where one scan of this laser is enough, some poses at a time.",
-         "Some of the poses, and where to go on.", _OBJECT, ATLAS, _LOOK),
-    _get("/v1/layers/visibility", "The view from a place.", "A polygon.", _OBJECT, VISIBILITY,
-         _LOOK),
-    _get("/v1/layers/region",
-         "The cells of a region in white: an image for the option region of imgloc localize.",
-         "PNG.", _PNG, REGION_LAYER, _LOOK),
+    Operation("get", "/v1/layers/likelihood", "likelihood", "layers",
+              "A likelihood of all poses, at one heading or over all.", "PNG.", _PNG, LIKELIHOOD),
+    Operation("get", "/v1/layers/atlas", "atlas", "layers",
+              "Places where one scan of this laser is enough, some poses at a time.",
+              "Some of the poses, and where to go on.", _OBJECT, ATLAS),
+    Operation("get", "/v1/layers/visibility", "visibility", "looks", "The view from a place.",
+              "A polygon.", _OBJECT, VISIBILITY),
+    Operation("get", "/v1/layers/region", "region", "looks",
+              "The cells of a region in white: an image for the option region of imgloc localize.",
+              "PNG.", _PNG, (MAP, Parameter("region", _REGION.about, _REGION.kind, needed=True))),
 )  # fmt: skip
 
 
@@ -405,7 +365,7 @@ def _parameter(one: Parameter) -> dict[str, Any]:
 
 
 def _path_of(name: str) -> dict[str, Any]:
-    schema = {"type": "string", "pattern": f"^(?:{NAME})$" if name == "name" else "^[0-9a-f]{16}$"}
+    schema = {"type": "string", "pattern": f"^(?:{NAME if name == 'name' else ID})$"}
     return {"name": name, "in": "path", "required": True, "schema": schema}
 
 

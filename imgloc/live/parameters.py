@@ -12,6 +12,7 @@ imgloc.live.problems.Refused: near: got '1,2,90', expected 3 numbers with commas
 -1e+06 to 1e+06, -1e+06 to 1e+06, -6.2832 to 6.2832
 """
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,11 +20,22 @@ from typing import Any, Protocol
 from urllib.parse import parse_qsl
 
 from imgloc.live.problems import Refused
+from imgloc.options import Radius, Turn
+from imgloc.ranges import OneOf, Within, declaration, declared
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _LONGEST = 8192  # characters of a value
 TURN = (-6.2832, 6.2832)  #: radians, once around either way
 PLACE = (-1e6, 1e6)  #: metres
+
+
+def _limits(hint: Any) -> tuple[float, float]:
+    limit = declaration("", hint).limit
+    assert isinstance(limit, Within)
+    return limit.low, limit.high
+
+
+NEAR, OFF = _limits(Radius), _limits(Turn)  #: metres around a place, radians beside a heading
 
 
 class Kind(Protocol):
@@ -167,6 +179,28 @@ class Parameter:
     kind: Kind
     default: Any = None
     needed: bool = False
+
+    @classmethod
+    def of(
+        cls, kind: Any, field: str, name: str = "", about: str = "", default: Any = None
+    ) -> "Parameter":
+        """The parameter of an option, with the limits and the text of its one declaration.
+
+        Examples
+        --------
+        >>> from imgloc.options import Options
+        >>> Parameter.of(Options, "theta_step", "theta_step_deg").kind
+        Number(low=0.05, high=180.0, unit='degrees', whole=False)
+        """
+        (one,) = (part for part in declared(kind) if part.name == field)
+        limit, factor = one.limit, 180 / math.pi if one.in_degrees else 1.0
+        found: Kind = Flag()
+        if isinstance(limit, OneOf):
+            found = Word(limit.names)
+        elif limit is not None:
+            low, high = (round(bound * factor, 9) for bound in (limit.low, limit.high))
+            found = Number(low, high, "degrees" if one.in_degrees else limit.unit, one.kind is int)
+        return cls(name or field, about or one.text, found, default)
 
 
 def read_query(query: bytes, parameters: Sequence[Parameter]) -> dict[str, Any]:

@@ -6,6 +6,7 @@
 'detail': 'office.yaml: resolution: missing'}
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -76,6 +77,17 @@ class Problem:
     def status(self) -> int:
         """The HTTP status."""
         return int(self.document["status"])
+
+    @property
+    def body(self) -> bytes:
+        """The document as JSON."""
+        return json.dumps(dict(self.document)).encode()
+
+    @property
+    def raw_headers(self) -> list[tuple[bytes, bytes]]:
+        """All headers, as ASGI has them."""
+        given = {"Content-Type": MEDIA, "Content-Length": str(len(self.body)), **self.headers}
+        return [(key.lower().encode(), text.encode("latin-1")) for key, text in given.items()]
 
 
 def problem_of(error: Exception) -> Problem:

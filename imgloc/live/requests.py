@@ -11,10 +11,10 @@ import logging
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,38 +28,18 @@ from imgloc.io.own import parse_json
 from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
+from imgloc.live.bounds import MIB, Bounds
 from imgloc.live.problems import Refused
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import Count, Reading
-from imgloc.ranges import Checked, Within
+from imgloc.options import Reading
 
 JSON, FORM = "application/json", "multipart/form-data"
-MIB = 1 << 20
 _ENDINGS = (*SCAN_ENDINGS, ".yaml", ".yml")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}", re.ASCII)
 NAME = _NAME.pattern  #: what a map may be called
 _PARTS = 8  # of a form
 # What the parser logs of a form that is damaged, the refusal tells the client.
 logging.getLogger("python_multipart").addHandler(logging.NullHandler())
-Seconds = Annotated[float, Within(0.01, 86_400, "seconds")]
-
-
-@dataclass(frozen=True)
-class Bounds(Checked):
-    """How much a service takes from those who ask."""
-
-    body: Annotated[int, Within(1, 1 << 40, "bytes")] = 64 * MIB  #: of a request
-    pixels: Count = 25_000_000  #: of an uploaded map
-    numbers: Count = 20_000_000  #: ranges, angles and more of an uploaded file of scans
-    scans: Count = 200_000  #: of an uploaded file
-    each: Count = 1000  #: scans that one request asks about
-    message: Annotated[int, Within(1, 1 << 30, "bytes")] = 4 * MIB  #: a line of a WebSocket
-    seconds: Seconds = 30.0  #: until an answer is given up
-    patience: Seconds = 15.0  #: until a body has come, or the head of a request
-    waiting: Count = 16  #: requests that wait for an answer
-    connections: Count = 100
-    sockets: Count = 16  #: WebSockets
-    held: Count = 8  #: uploaded maps, and files of scans
 
 
 class Part(NamedTuple):
@@ -196,6 +176,11 @@ def scans_of(
             return Sent(scans, tuple(text.replace(str(path), label) for text in texts))
         except (ScanError, MapError) as error:
             raise type(error)(str(error).replace(str(path), label)) from None
+
+
+def marked_bytes(scans: ScanSet) -> int:
+    """How long a body that marks scans may be: :func:`marked_of`."""
+    return 200 + 200 * len(scans)
 
 
 def marked_of(body: bytes, scans: ScanSet) -> ScanSet:

@@ -3,10 +3,14 @@
 The row of `imgloc which --json` is :meth:`imgloc.choice.choose.Choice.as_row`.
 """
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from imgloc.geometry import transform_poses
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Localization, Pose2D, plain
 
 if TYPE_CHECKING:
@@ -88,3 +92,30 @@ def moment_row(
     if origin is not None:
         row["places"] = places_of(belief, origin)
     return dict(plain(row))
+
+
+def scan_row(scans: ScanSet, k: int) -> dict[str, Any]:
+    """A scan of a set as JSON that is read back as the same scan; what is not known is left out.
+
+    Examples
+    --------
+    >>> scans = ScanSet((LaserScan([1.0, np.inf, np.nan], [0.0, 0.1, 0.2]),))
+    >>> scan_row(scans, 0)
+    {'index': 0, 'ranges': [1.0, 'inf', None], 'angles': [0.0, 0.1, 0.2], 'range_min': 0.0, \
+'time_increment': 0.0}
+    """
+    scan = scans[k]
+    words = {math.inf: "inf", -math.inf: "-inf"}
+    ranges = [r if math.isfinite(r) else words.get(r) for r in scan.ranges.tolist()]
+    row: dict[str, Any] = {"index": k, "ranges": ranges, "angles": scan.angles.tolist()}
+    stamp = scan.stamp if scans.stamps is None else float(scans.stamps[k])
+    numbers = {"range_min": scan.range_min, "range_max": scan.range_max, "stamp": stamp}
+    numbers["time_increment"] = scan.time_increment
+    row |= {key: value for key, value in numbers.items() if math.isfinite(value)}
+    poses = {"pose": scans.poses, "odom": scans.odom}
+    for key, rows in poses.items():
+        if rows is not None and np.isfinite(rows[k]).all():
+            row[key] = dict(zip(("x", "y", "theta"), rows[k].tolist(), strict=True))
+    if scan.T_base_laser is not None:
+        row["mount"] = plain(scan.T_base_laser)
+    return row

@@ -11,9 +11,10 @@ from budgets import check_done, check_refused, words
 from command import MAPS, call, spawn
 from test_features_budget import office, peak
 
+from imgloc.errors import ConfigError
 from imgloc.features.budget import poses_bytes, simulate_bytes
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.lab.atlas import atlas_poses, simulate_at
+from imgloc.lab.atlas import MOST, atlas_poses, simulate_at
 from imgloc.lab.calibrate import disturbed_set, sweep
 from imgloc.options import Options
 from imgloc.search.asked import answer_bytes
@@ -38,15 +39,28 @@ def test_the_scans_of_an_atlas_take_no_more_than_estimated(step: float, rays: in
     assert taken <= need <= 3 * taken
 
 
-@pytest.mark.parametrize(("step", "headings"), [(5.0, 1), (0.05, 3)])
+@pytest.mark.parametrize(("step", "headings"), [(5.0, 1), (0.3, 1), (2.0, 72)])
 def test_choosing_the_poses_of_an_atlas_takes_no_more_than_estimated(
     step: float, headings: int
 ) -> None:
     grid = office(6, 0.1)
     side = grid.occupied.shape[0] * grid.resolution
     taken = peak(lambda: atlas_poses(grid, step, headings, 0.1))
-    need = poses_bytes(grid.occupied.size, round(side / step) ** 2, headings)
+    need = poses_bytes(grid.occupied.size, round(side / step) ** 2, MOST)
     assert taken <= need <= 3 * taken
+
+
+def test_too_many_poses_of_an_atlas_are_refused_before_they_are_made() -> None:
+    grid = office(6, 0.1)
+
+    def refused(step: float, headings: int) -> None:
+        with pytest.raises(ConfigError, match=r"[0-9,]+ poses at places .* use a larger step"):
+            atlas_poses(grid, step, headings, 0.1)
+
+    for step, headings in ((0.1, 72), (1e-3, 1), (1e-9, 1)):
+        assert peak(lambda s=step, h=headings: refused(s, h)) <= poses_bytes(
+            grid.occupied.size, 0, MOST
+        ) + (2 << 20)  # the lines of the raster
 
 
 def test_calibrating_takes_no_more_than_estimated() -> None:
@@ -138,8 +152,7 @@ def test_the_places_of_an_atlas_are_counted_before_they_are_looked_at(tmp_path: 
     given = ("atlas", CURVED, "--out", tmp_path / "a.png", "--step", 0.02, "--headings", 72)
     run = call(*given, "--memory-budget", "100M")
     assert (run.code, run.out) == (2, "")
-    assert re.search(r"72 headings at up to \d\d\d,\d\d\d places on 130 x 160 cells needs", run.err)
-    assert "use a larger --step or fewer --headings, crop the map" in run.err
+    assert re.search(r"--step: [0-9,]+ poses at places 0.02 m apart, .*larger step", run.err)
 
 
 def test_maps_that_are_held_count_beside_the_next(tmp_path: Path) -> None:

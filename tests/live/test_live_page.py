@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import httpx
 import numpy as np
 import pytest
 from command import MAPS, call, rows
@@ -162,7 +161,7 @@ def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(
     drop(
         page, *((f"curved.{end}", (MAPS / f"curved.{end}").read_bytes()) for end in ("yaml", "png"))
     )
-    sync.expect(page.locator("#map")).to_have_value("curved")
+    sync.expect(page.locator("#map option:checked")).to_have_text("curved")
     drop(page, (scans.name, scans.read_bytes()))
     said = answered(page)
     row = rows(call("localize", MAPS / "curved.yaml", scans, "--scans-index", 0, "--json").out)[0]
@@ -180,16 +179,30 @@ def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(
     assert kinds["agrees"] > 0.8 * row["counts"]["valid"] > kinds["unexplained"]
 
 
-def test_a_map_whose_name_is_taken_gets_another(page: Any, service: str) -> None:
-    image, yaml = ((MAPS / f"visibility.{end}").read_bytes() for end in ("png", "yaml"))
-    files = {"image": ("visibility.png", image), "yaml": ("visibility.yaml", yaml)}
-    assert httpx.post(f"{service}/v1/maps?name=hall", files=files).status_code == 201
-    other = (MAPS / "curved.yaml").read_bytes()
-    drop(page, ("hall.yaml", other), ("curved.png", (MAPS / "curved.png").read_bytes()))
-    sync.expect(page.locator("#map")).to_have_value("hall-2")
+def test_maps_of_one_name_are_told_apart_and_are_there_after_a_reload(page: Any) -> None:
+    image, yaml = ((MAPS / f"curved.{end}").read_bytes() for end in ("png", "yaml"))
+    drop(page, ("visibility.yaml", yaml), ("curved.png", image))
+    chosen = page.locator("#map option:checked")
+    sync.expect(chosen).to_have_text("visibility (2)")
     sync.expect(page.locator("#trouble")).to_be_hidden()
-    for name in ("hall", "hall-2"):
-        assert httpx.delete(f"{service}/v1/maps/{name}").status_code == 204
+    page.reload()
+    sync.expect(page.locator("#map option")).to_have_text(["visibility (1)", "visibility (2)"])
+    other = page.context.browser.new_page()  # of somebody else
+    other.goto(page.url)
+    sync.expect(other.locator("#map option")).to_have_text(["visibility"])
+    other.close()
+
+
+def test_a_resolution_that_makes_a_map_of_kilometres_is_asked_for_twice(page: Any) -> None:
+    drop(page, ("bare.png", (MAPS / "curved.png").read_bytes()))
+    size, use = page.locator("#reading-size"), page.get_by_role("button", name="Use it")
+    sync.expect(size).to_have_text(re.compile(r"^A map of \d+\.\d m × \d+\.\d m\.$"))
+    page.get_by_label("Resolution").fill("10")
+    sync.expect(size).to_contain_text("Is a pixel 10 m wide?")
+    use.click()
+    sync.expect(page.locator("#reading")).to_be_visible()
+    use.click()
+    sync.expect(page.locator("#map option:checked")).to_have_text("bare")
 
 
 def test_an_image_alone_is_asked_for_its_resolution(page: Any) -> None:
@@ -197,7 +210,7 @@ def test_an_image_alone_is_asked_for_its_resolution(page: Any) -> None:
     page.get_by_label("Resolution").fill("0.1")
     page.locator("#origin-x").fill("-3")
     page.get_by_role("button", name="Use it").click()
-    sync.expect(page.locator("#map")).to_have_value("bare")
+    sync.expect(page.locator("#map option:checked")).to_have_text("bare")
     assert copied(page, "c") == "imgloc map check bare.png --resolution=0.1 --origin=-3,0,0\n"
 
 
@@ -267,7 +280,7 @@ def test_what_is_known_changes_the_answer(page: Any, log: Path) -> None:
     page.keyboard.press("r")
     left, low = pixel(best[0] + 2, best[1] - 3)
     right, high = pixel(best[0] + 8, best[1] + 3)
-    drag(page, (left, low), (right, low), (right, high), (left, high), (left, low + 2))
+    drag(page, (left, low), (right, high))
     sync.expect(page.locator("#known-words")).to_have_text(
         re.compile(r"^In a region of 3\d\.\d m²")
     )
@@ -328,8 +341,16 @@ def test_a_slider_goes_along_the_log_and_the_tracker_follows_it(page: Any, log: 
     answered(page, 0)
     page.get_by_role("button", name="The next scan").click()
     answered(page, 1)
+    live, heard = page.locator("#live"), "window.heard = new Set()"
+    page.evaluate(f"""() => {{ {heard}; new MutationObserver(() => heard.add(
+        document.getElementById("live").textContent)).observe(
+        document.getElementById("live"), {{ childList: true }}); }}""")
     page.get_by_role("button", name="Follow").click()
     sync.expect(page.locator("#tracked")).to_contain_text(re.compile("Tracker: (unique|ambiguous)"))
+    sync.expect(live).to_contain_text(f"Scan {last}: unique.")
+    assert any("the tracker says" in text for text in page.evaluate("[...heard]"))
+    counts = [page.locator(f"#count-{kind}").inner_text() for kind in ("agrees", "unexplained")]
+    assert int(counts[0]) > int(counts[1])
     sync.expect(page.locator("#number")).to_have_text(f"scan {last} of 0 to {last}")
     sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
     tracked = page.locator("#tracked").inner_text()
@@ -441,7 +462,8 @@ def test_a_region_is_copied_as_python(
     drop(page, (log.name, log.read_bytes()))
     answered(page)
     page.get_by_role("button", name="Region").click()
-    drag(page, (200, 300), (700, 300), (700, 650), (200, 650), (200, 310))
+    for corner in ((200, 300), (700, 300), (700, 650), (200, 650), (202, 303)):
+        page.locator("#canvas").click(position={"x": corner[0], "y": corner[1]})
     sync.expect(page.locator("#known-words")).to_contain_text("In a region")
     answered(page)
     monkeypatch.chdir(log.parent)
@@ -555,12 +577,16 @@ def test_no_wall_lies_under_a_button_until_the_map_is_moved(page: Any, log: Path
 
 @pytest.mark.parametrize("width", [390, 900, 1400])
 def test_far_poses_are_written_whole(browser: Any, service: str, log: Path, width: int) -> None:
-    files = {"image": ("far.png", (MAPS / "visibility.png").read_bytes())}
-    how = {"name": "far", "origin": "-1234.5,-2345.6,0", "resolution": "0.1"}
-    sent = httpx.post(f"{service}/v1/maps", params=how, files=files, timeout=60)
-    assert sent.status_code == 201
     with opened(browser, service, viewport={"width": width, "height": 900}) as page:
-        page.locator("#map").select_option("far")
+        drop(page, ("far.png", (MAPS / "visibility.png").read_bytes()))
+        for field, value in (
+            ("resolution", "0.1"),
+            ("origin-x", "-1234.5"),
+            ("origin-y", "-2345.6"),
+        ):
+            page.locator(f"#{field}").fill(value)
+        page.get_by_role("button", name="Use it").click()
+        sync.expect(page.locator("#map option:checked")).to_have_text("far")
         drop(page, (log.name, log.read_bytes()))
         answered(page)
         sync.expect(page.locator("#pose-where")).to_contain_text("−1230.")
@@ -579,7 +605,6 @@ def test_far_poses_are_written_whole(browser: Any, service: str, log: Path, widt
                 return inner.right <= left && inner.bottom <= bottom && inner.top >= top;
             }"""
             assert row.evaluate(words)
-    assert httpx.delete(f"{service}/v1/maps/far", timeout=60).status_code == 204
 
 
 def touched(page: Any, *moves: tuple[tuple[float, float], ...]) -> None:
@@ -620,6 +645,120 @@ def test_open_shows_a_map_and_scans(browser: Any, log: Path) -> None:
         assert "Scan 0: unique." in answered(page)
         here = f"imgloc localize {MAPS / 'visibility.yaml'} {log} --scans-index 0\n"
         assert copied(page, "c") == here
+
+
+def test_open_takes_the_options_of_a_log(browser: Any, log: Path, tmp_path: Path) -> None:
+    kept, folder = load_scans(log), tmp_path / "attic"
+    hung = [LaserScan(1000 * s.ranges, -s.angles, range_max=30_000.0) for s in kept.scans]
+    save_scans(tmp_path / "hung.npz", ScanSet(tuple(hung)))
+    folder.mkdir()
+    yaml = (MAPS / "visibility.yaml").read_text()
+    (folder / "map.yaml").write_text(yaml)
+    (folder / "visibility.png").write_bytes((MAPS / "visibility.png").read_bytes())
+    words = ("--flipped", "--range-scale", 0.001, "--scans-index", "2:4", "--range-max", 20)
+    there = folder / "map.yaml", tmp_path / "hung.npz"
+    with (
+        served("open", *there, *words, BROWSER="true") as one,
+        opened(browser, one.address) as page,
+    ):
+        assert "Scan 0: unique." in answered(page)
+        assert shown_pose(page)[:2] == pytest.approx(POSES[2, :2], abs=0.1)
+        sync.expect(page.locator("#map option:checked")).to_have_text("attic")
+        text = copied(page, "c")
+        assert "--scans-index 2 --range-scale=0.001 --range-max=20.0 --flipped" in text
+        row = rows(call(*shlex.split(text)[1:], "--json").out)[0]
+        assert (row["index"], row["verdict"]) == (2, "unique")
+
+
+def test_how_scans_were_taken_is_said_on_the_page_and_hinted_at(page: Any, log: Path) -> None:
+    hung = [LaserScan(1000 * s.ranges, -s.angles) for s in load_scans(log).scans]
+    path = log.with_name("hung.npz")
+    save_scans(path, ScanSet(tuple(hung)), force=True)
+    drop(page, (path.name, path.read_bytes()))
+    answered(page)
+    hint = page.locator("#hints")
+    sync.expect(hint).to_contain_text("millimetres")
+    page.get_by_label("1 in the file is").fill("0.001")
+    page.get_by_label("1 in the file is").press("Enter")
+    sync.expect(hint).to_contain_text("--flipped")
+    page.get_by_label("Upside down").check()
+    sync.expect(page.locator("#live")).to_contain_text("Scan 0: unique.")
+    sync.expect(hint).to_be_empty()
+    assert shown_pose(page)[:2] == pytest.approx(POSES[0, :2], abs=0.1)
+    assert "--flipped --range-scale=0.001" in copied(page, "c")
+    values: dict[str, Any] = {}
+    text = copied(page, "y").replace("visibility.yaml", str(MAPS / "visibility.yaml"))
+    assert "scan = scan.scaled(0.001)\nscan = scan.flipped" in text
+    assert values == {}
+
+
+def test_a_region_is_drawn_by_keys_alone(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    first = answered(page)
+    page.locator("#canvas").focus()
+    for key in ("r", "Shift+ArrowLeft", "Enter", *["Shift+ArrowRight"] * 2, "Shift+ArrowDown"):
+        page.keyboard.press(key)
+    for _ in range(2):  # the opposite corner, twice
+        page.keyboard.press("Enter")
+    sync.expect(page.locator("#known-words")).to_contain_text("In a region of")
+    sync.expect(page.locator("#live")).not_to_have_text(first)
+    for key in ("a", "Enter", "Shift+ArrowUp", "Enter"):
+        page.keyboard.press(key)
+    sync.expect(page.locator("#known-words")).to_contain_text("heading 90 ± 45°")
+    page.keyboard.press("r")
+    page.locator("#canvas").click(position={"x": 300, "y": 300})
+    page.locator("#canvas").click(position={"x": 303, "y": 301})
+    sync.expect(page.locator("#note")).to_contain_text("no region")
+
+
+def test_a_layer_that_takes_long_is_stopped_and_holds_nothing_up(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    asked = list[str]()
+    # Nobody answers this one: as if it took for ever.
+    page.route("**/likelihood?*method=beam*", lambda route: asked.append(route.request.url))
+    page.get_by_label("Layer on the map").select_option("beam")
+    sync.expect(page.locator("#working-words")).to_contain_text("Computing beam: ")
+    page.get_by_label("Layer on the map").select_option("distance")  # it is given up
+    sync.expect(page.locator("#scale-high")).to_have_text("3.0 m")
+    sync.expect(page.locator("#working")).to_be_hidden()
+    page.get_by_label("Layer on the map").select_option("beam")
+    page.get_by_role("button", name="Stop").click()
+    sync.expect(page.get_by_label("Layer on the map")).to_have_value("")
+    sync.expect(page.locator("#working")).to_be_hidden()
+    sync.expect(page.locator("#trouble")).to_be_hidden()
+    assert len(asked) == 2
+    page.unroute_all(behavior="ignoreErrors")
+
+
+def test_a_map_that_cannot_be_shown_says_why_and_comes_later(browser: Any, service: str) -> None:
+    page, refused = browser.new_page(), list[str]()
+
+    def refuse(route: Any) -> None:
+        refused.append(route.request.url)
+        body = json.dumps({"detail": "no answer within 3 s", "status": 504})
+        if len(refused) > 1:
+            route.continue_()
+        else:
+            route.fulfill(status=504, content_type="application/problem+json", body=body)
+
+    page.route("**/image", refuse)
+    page.goto(service)
+    blank = page.locator("#blank")
+    sync.expect(blank).to_have_text(
+        "The map cannot be shown: no answer within 3 s The page asks again."
+    )
+    sync.expect(blank).to_be_hidden()
+    assert len(refused) == 2
+    page.close()
+
+
+def test_words_for_readings_are_those_of_the_explained_page() -> None:
+    here = (Path(__file__).parents[2] / "imgloc/live/page/scan.js").read_text()
+    there = (Path(__file__).parents[2] / "imgloc/output/templates/explain.html").read_text()
+    kinds = re.findall(r'^  (\w+): "([^"]+)",$', here, re.M)
+    assert len(kinds) == 6
+    assert re.findall(r'^  "(\w+)": \("([^"]+)", ', there, re.M) == kinds
 
 
 def test_the_page_sends_the_token_of_its_address(browser: Any, log: Path) -> None:

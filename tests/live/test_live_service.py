@@ -68,6 +68,13 @@ def problem(answer: httpx.Response, status: int, kind: str) -> str:
     return str(said["detail"])
 
 
+def answers(text: str) -> list[str]:
+    """The rows of answers as `imgloc localize` prints them: without the map that they are of."""
+    row, of = re.compile(r', "map": "[^"]+", "version": "[0-9a-f]{40}"\}$', re.M), "}"
+    assert len(row.findall(text)) == len(text.splitlines())
+    return untimed(row.sub(of, text))
+
+
 def laser_scan(scans: Path, k: int) -> dict[str, Any]:
     scan = imgloc.load_scans(scans)[k]
     ranges = [r if np.isfinite(r) else "inf" for r in scan.ranges.tolist()]
@@ -99,7 +106,7 @@ def test_an_answer_is_what_localize_prints(
     there = http.post("/v1/localize", params={"map": "visibility", **asked},
                       content=scans.read_bytes())  # fmt: skip
     assert there.status_code == 200, there.text
-    assert untimed(there.text) == untimed(here.out)
+    assert answers(there.text) == untimed(here.out)
     lines = len(here.out.splitlines())
     kind = "application/json" if lines == 1 else "application/x-ndjson"
     assert there.headers["content-type"] == kind
@@ -111,7 +118,7 @@ def test_one_scan_as_json_is_the_same_scan(http: httpx.Client, scans: Path, tmp_
     here = call("localize", MAP, tmp_path / "one.jsonl", "--json")
     there = http.post("/v1/localize?map=visibility", content=line,
                       headers={"Content-Type": "application/json"})  # fmt: skip
-    assert untimed(there.text) == untimed(here.out)
+    assert answers(there.text) == untimed(here.out)
 
 
 def test_which_is_what_which_prints(http: httpx.Client, scans: Path, tmp_path: Path) -> None:
@@ -178,20 +185,23 @@ def test_places_of_a_belief_are_added_when_asked_for(service: Served) -> None:
 def test_a_map_that_is_sent_answers_as_the_file_does(http: httpx.Client, scans: Path) -> None:
     files = {"image": ("visibility.png", (MAPS / "visibility.png").read_bytes()),
              "yaml": ("visibility.yaml", MAP.read_bytes())}  # fmt: skip
-    sent = http.post("/v1/maps?name=sent", files=files)
+    sent = http.post("/v1/maps?name=visibility", files=files)
     assert sent.status_code == 201, sent.text
-    assert sent.headers["location"] == "/v1/maps/sent"
+    about, id_ = sent.json(), sent.json()["id"]
+    assert sent.headers["location"] == f"/v1/maps/{id_}"
     said = http.get("/v1/maps/visibility").json()
-    assert sent.json()["version"] == said["version"]
-    assert sent.json()["uploaded"]
-    assert not said["uploaded"]
+    assert about == {**said, "id": id_, "uploaded": True, "path": None}
+    assert http.get(f"/v1/maps/{id_}").json() == about
+    assert (said["id"], said["name"], said["uploaded"]) == ("visibility", "visibility", False)
     both = [http.post(f"/v1/localize?map={name}", content=scans.read_bytes()).text
-            for name in ("sent", "visibility")]  # fmt: skip
-    assert untimed(both[0]) == untimed(both[1])
-    assert http.delete("/v1/maps/sent").status_code == 204
-    problem(http.get("/v1/maps/sent"), 404, "not-found")
+            for name in (id_, "visibility")]  # fmt: skip
+    assert answers(both[0]) == answers(both[1])
+    for name, text in zip((id_, "visibility"), both, strict=True):
+        of = [(row["map"], row["version"]) for row in rows(text)]
+        assert of == [(name, about["version"])] * 3
+    assert http.delete(f"/v1/maps/{id_}").status_code == 204
+    problem(http.get(f"/v1/maps/{id_}"), 404, "not-found")
     problem(http.delete("/v1/maps/visibility"), 409, "name-taken")
-    problem(http.post("/v1/maps?name=visibility", files=files), 409, "name-taken")
 
 
 def upload(address: str, name: str, of: str) -> httpx.Response:
@@ -201,44 +211,47 @@ def upload(address: str, name: str, of: str) -> httpx.Response:
     return httpx.post(f"{address}/v1/maps", params={"name": name}, files=files, timeout=60)
 
 
-def test_an_uploaded_map_is_replaced_by_no_other(service: Served, http: httpx.Client) -> None:
-    sent = upload(service.address, "mine", "curved")
-    assert sent.status_code == 201
-    detail = problem(upload(service.address, "mine", "visibility"), 409, "name-taken")
-    assert "'mine'" in detail
-    again = upload(service.address, "mine", "curved")
-    assert (again.status_code, again.json()) == (201, sent.json())
-    files = {"image": ("curved.png", (MAPS / "curved.png").read_bytes())}
-    moved = http.post("/v1/maps?name=mine&resolution=0.05&origin=7,0,0", files=files)
-    problem(moved, 409, "name-taken")
-    assert http.get("/v1/maps/mine").json() == sent.json()
-    assert http.delete("/v1/maps/mine").status_code == 204
+def test_a_map_that_is_sent_is_its_sender_s(service: Served, http: httpx.Client) -> None:
+    one, other = (upload(service.address, "mine", of).json() for of in ("curved", "visibility"))
+    assert one["name"] == other["name"] == "mine"
+    assert one["version"] != other["version"]
+    assert http.get(f"/v1/maps/{one['id']}").json() == one
+    problem(http.get("/v1/maps/mine"), 404, "not-found")  # by its id alone
+    names = [there["id"] for there in http.get("/v1/maps").json()["maps"]]
+    assert names == ["visibility", "curved"]
+    said = problem(http.get("/v1/maps/nowhere"), 404, "not-found")
+    assert one["id"] not in said
+    assert http.delete(f"/v1/maps/{other['id']}").status_code == 204
+    assert http.get(f"/v1/maps/{one['id']}").json() == one
+    assert http.delete(f"/v1/maps/{one['id']}").status_code == 204
 
 
-def test_a_map_stays_while_a_robot_is_followed_in_it(service: Served, http: httpx.Client) -> None:
+def test_a_map_outlives_a_hundred_uploads_while_a_robot_is_followed_in_it(
+    service: Served, http: httpx.Client
+) -> None:
     line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
                        "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
-    assert upload(service.address, "followed", "curved").status_code == 201
-    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=followed") as robot:
+    id_ = upload(service.address, "followed", "curved").json()["id"]
+    small = cv2.imencode(".png", room())[1].tobytes()
+    others = list[str]()
+    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map={id_}") as robot:
         robot.send(line)
         assert json.loads(robot.recv(60))["index"] == 0
-        detail = problem(http.delete("/v1/maps/followed"), 409, "in-use")
+        detail = problem(http.delete(f"/v1/maps/{id_}"), 409, "in-use")
         assert "a robot is followed in it" in detail
-        for k in range(10):  # others' maps make room for one another, not for this one
-            assert upload(service.address, f"other{k}", "curved").status_code == 201
-            robot.send(line)
-            assert json.loads(robot.recv(60))["index"] == k + 1
-    names = [one["name"] for one in http.get("/v1/maps").json()["maps"]]
-    assert "followed" in names
-    assert "other0" not in names
+        for _ in range(100):  # others' maps make room for one another, not for this one
+            sent = http.post("/v1/maps?name=a&resolution=0.1", content=small)
+            assert sent.status_code == 201, sent.text
+            others.append(sent.json()["id"])
+        robot.send(line)
+        assert json.loads(robot.recv(60))["index"] == 1
+    assert http.get(f"/v1/maps/{id_}").status_code == 200
+    assert http.get(f"/v1/maps/{others[0]}").status_code == 404
     until = time.monotonic() + 60
-    while (gone := http.delete("/v1/maps/followed")).status_code == 409:
+    while (gone := http.delete(f"/v1/maps/{id_}")).status_code == 409:
         assert time.monotonic() < until
         time.sleep(0.05)
     assert gone.status_code == 204
-    for name in names:
-        if name.startswith("other"):
-            http.delete(f"/v1/maps/{name}")
 
 
 def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path) -> None:
@@ -253,35 +266,24 @@ def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path)
             return answer.text
 
         before = asked("localize"), asked("which")
-        assert upload(one.address, "stranger", "visibility").status_code == 201
+        id_ = upload(one.address, "stranger", "visibility").json()["id"]
         assert untimed(asked("localize")) == untimed(before[0])
         assert asked("which") == before[1]
         with connect(f"ws://127.0.0.1:{one.port}/v1/track") as robot:
             robot.send(line)
             assert json.loads(robot.recv(60))["index"] == 0
-        assert untimed(asked("localize", map="stranger")) == untimed(before[0])
+        assert answers(asked("localize", map=id_)) == answers(before[0])
 
 
-def test_several_maps_to_begin_with_are_named_without_the_uploaded(
-    http: httpx.Client, service: Served, scans: Path
-) -> None:
-    assert upload(service.address, "stranger", "visibility").status_code == 201
-    answer = http.post("/v1/localize", content=scans.read_bytes())
-    assert problem(answer, 422, "bad-options").endswith("one of visibility, curved")
-    assert http.delete("/v1/maps/stranger").status_code == 204
-
-
-def test_without_maps_to_begin_with_the_only_uploaded_one_is_meant(scans: Path) -> None:
+def test_without_a_map_of_the_service_one_is_named_by_its_id(scans: Path) -> None:
     with served() as one:
-        body = scans.read_bytes()
-        assert upload(one.address, "a", "visibility").status_code == 201
-        asked = f"{one.address}/v1/localize?index=1"
-        assert httpx.post(asked, content=body, timeout=60).status_code == 200
-        assert upload(one.address, "b", "curved").status_code == 201
+        body, asked = scans.read_bytes(), f"{one.address}/v1/localize?index=1"
+        id_ = upload(one.address, "a", "visibility").json()["id"]
         answer = httpx.post(asked, content=body, timeout=60)
-        assert problem(answer, 422, "bad-options").endswith("one of a, b")
-        found = httpx.post(f"{one.address}/v1/which?index=1", content=body, timeout=60).json()
-        assert found["verdict"] == "a"
+        assert problem(answer, 422, "bad-options").endswith("map: missing, expected the id of one")
+        assert httpx.post(f"{asked}&map={id_}", content=body, timeout=60).status_code == 200
+        answer = httpx.post(f"{one.address}/v1/which?index=1", content=body, timeout=60)
+        assert "the service has no map" in problem(answer, 404, "not-found")
 
 
 def test_a_map_as_image_is_the_one_that_was_sent(http: httpx.Client) -> None:
@@ -323,8 +325,9 @@ def test_no_path_in_a_yaml_is_opened(http: httpx.Client, path: str) -> None:
     assert "it is of" in said
     assert "good.png" in said
     files["image"] = (path.replace("\\\\", "\\").split("/")[-1], image.tobytes())
-    assert http.post("/v1/maps?name=named", files=files).status_code == 201  # it is this image
-    assert http.delete("/v1/maps/named").status_code == 204
+    sent = http.post("/v1/maps?name=named", files=files)
+    assert sent.status_code == 201  # it is this image
+    assert http.delete(sent.headers["location"]).status_code == 204
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", "<img src=x onerror=alert(1)>", "", "x" * 101])
@@ -488,7 +491,7 @@ def test_marked_scans_come_back_with_their_poses(
     for row, said in (([0, 0, None, 0], "0.2"), ([0, 0, 0], "poses.0"), ([0.5, 0, 0, 0], "0.0")):
         bad = http.post(f"/v1/scans/{id_}/marked", json={"poses": [row]})
         assert said in problem(bad, 400, "bad-request"), row
-    nothing = http.post("/v1/scans/0123456789abcdef/marked", json={"poses": given})
+    nothing = http.post(f"/v1/scans/{'0' * 32}/marked", json={"poses": given})
     problem(nothing, 404, "not-found")
 
 
@@ -500,7 +503,7 @@ def test_a_region_is_that_of_the_command_line(
     (tmp_path / "region.png").write_bytes(image.content)
     here = call("localize", MAP, scans, "--json", "--region", tmp_path / "region.png")
     there = http.post(f"/v1/localize?map=visibility&region={region}", content=scans.read_bytes())
-    assert untimed(there.text) == untimed(here.out)
+    assert answers(there.text) == untimed(here.out)
 
 
 # What is wrong is said, as a problem document.
@@ -824,7 +827,7 @@ def test_a_service_that_is_killed_loses_nothing_but_what_ran(scans: Path, tmp_pa
                        "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
     asked = {"params": {"map": "visibility"}, "content": scans.read_bytes(), "timeout": 60}
     with served(MAP, "--cache", cache) as one:
-        assert upload(one.address, "mine", "curved").status_code == 201
+        id_ = upload(one.address, "mine", "curved").json()["id"]
         answer = httpx.post(f"{one.address}/v1/localize", **asked).text
         failed = list[str]()
 
@@ -838,7 +841,7 @@ def test_a_service_that_is_killed_loses_nothing_but_what_ran(scans: Path, tmp_pa
 
         request = threading.Thread(target=ask)
         with (
-            connect(f"ws://127.0.0.1:{one.port}/v1/track?map=mine") as robot,
+            connect(f"ws://127.0.0.1:{one.port}/v1/track?map={id_}") as robot,
             socket.create_connection(("127.0.0.1", one.port)) as sending,
         ):
             robot.send(line)
@@ -861,7 +864,7 @@ def test_a_service_that_is_killed_loses_nothing_but_what_ran(scans: Path, tmp_pa
     with served(MAP, "--cache", cache) as one:
         names = [one["name"] for one in httpx.get(f"{one.address}/v1/maps").json()["maps"]]
         assert names == ["visibility"]
-        problem(httpx.get(f"{one.address}/v1/maps/mine"), 404, "not-found")
+        problem(httpx.get(f"{one.address}/v1/maps/{id_}"), 404, "not-found")
         assert untimed(httpx.post(f"{one.address}/v1/localize", **asked).text) == untimed(answer)
         assert upload(one.address, "mine", "curved").status_code == 201
         assert one.end()[0] == 0

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 
 from tools.load import main
 
@@ -14,3 +15,14 @@ def test_no_request_is_lost_and_the_service_ends() -> None:
     assert code == 0, said
     assert "status {200: 24}; 0 without an answer" in said
     assert said.endswith("exit code 0\n")
+
+
+def test_clients_lose_nothing_beside_a_crowd() -> None:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        code = main(["--crowd", "8", "--map", "curved"])
+    said = out.getvalue()
+    assert code == 0, said
+    assert re.search(r"beside a crowd: \d+ requests, p50 .* p99 .*; 0 lost", said)
+    assert "p99 beside / alone: " in said
+    assert "exit code 0" in said

@@ -11,9 +11,8 @@ export const METHODS = ["cbml", "cbml-o", "ght", "ght-v", "beam"];
 export const LOOKING = "Looking for the pose";
 const CHUNK = 50; // scans that are fetched at a time
 const LONGEST = 90; // characters of a name of a map
-const TAKEN = 409; // the name of a map
-const NAMES = 20; // that are tried for a map
-const REFETCH = 404; // the service holds a few uploads: it may have dropped this one
+const GONE = 404; // the service holds a few uploads: it may have dropped this one
+const MINE = "imgloc maps"; // where the ids of the maps of this page are kept
 
 let items = new Map(); // by index, scans that are here
 let files = null; // what the scans were uploaded from: {file, said}
@@ -34,6 +33,7 @@ export async function attempt(busy, action) {
     if (troubled === busy) trouble(null, "");
     return answer;
   } catch (error) {
+    if (error.name === "AbortError") return null;
     if (!(error instanceof api.Problem)) throw error;
     trouble(busy, error.message);
     return null;
@@ -47,7 +47,7 @@ async function aboutScans(ask) {
   try {
     return await ask(state.set.id);
   } catch (error) {
-    if (error.status !== REFETCH || !files) throw error;
+    if (error.status !== GONE || !files) throw error;
     const again = await api.uploadScans(files.file, files.said);
     change({ set: { ...state.set, id: again.id } });
     return ask(again.id);
@@ -55,7 +55,20 @@ async function aboutScans(ask) {
 }
 
 /** What is asked about the scan that is looked at. */
-const asked = (id) => ({ map: state.map.name, scans: id, index: state.index });
+const asked = (id) => ({ map: state.map.id, scans: id, index: state.index, ...takenOf(state.taken) });
+
+/** How the scans were taken, as parameters; nothing of what is as usual. */
+export function takenOf({ flipped, ...others }) {
+  const given = Object.entries(others).filter(([, value]) => value !== "");
+  return { ...(flipped ? { flipped } : {}), ...Object.fromEntries(given) };
+}
+
+/** Say how the scans were taken, and look again. */
+export function take(patch) {
+  items = new Map();
+  change({ taken: { ...state.taken, ...patch }, answer: null, verdicts: [], beliefs: [], hints: [], fit: null, scan: null });
+  if (state.set) selectScan(state.index);
+}
 
 // ---- maps and scans
 
@@ -63,7 +76,7 @@ const asked = (id) => ({ map: state.map.name, scans: id, index: state.index });
 export function chooseMap(map) {
   granted = NOTHING;
   change({
-    map, answer: null, refused: false, verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
+    map, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
     picture: null, marks: [], unsaved: false, known: { near: null, region: null, clearance: state.known.clearance },
   });
   if (map.warnings?.length) trouble("the map", map.warnings.map((text) => `${map.name}: ${text}`).join(" "));
@@ -73,26 +86,35 @@ export function chooseMap(map) {
 
 /** Give the service a map, and look at it. */
 export async function addMap(image, yaml, reading) {
-  const stem = (yaml ?? image).name.replace(/\.[^.]*$/, "");
-  const plain = stem.replace(/[^\w. -]/g, "-").replace(/^[-. ]+|[-. ]+$/g, "").slice(0, LONGEST) || "map";
-  // A map that the service was started with keeps its name: this one gets another.
-  const given = new Set(state.maps.filter((m) => !m.uploaded).map((m) => m.name));
-  const send = async (k) => {
-    const name = k === 1 ? plain : `${plain}-${k}`;
-    if (given.has(name)) return send(k + 1);
-    try {
-      return await api.uploadMap(image, yaml, { name, ...reading });
-    } catch (error) { // somebody has sent another map by this name
-      if (error.status !== TAKEN || k >= NAMES) throw error;
-      return send(k + 1);
-    }
-  };
-  const map = await attempt(`Reading ${image.name}`, () => send(1));
+  const file = (yaml ?? image).name, stem = file.replace(/\.[^.]*$/, "");
+  const name = stem.replace(/[^\w. -]/g, "-").replace(/^[-. ]+|[-. ]+$/g, "").slice(0, LONGEST) || "map";
+  const map = await attempt(`Reading ${image.name}`, () => api.uploadMap(image, yaml, { name, ...reading }));
   if (!map) return false;
-  const known = { ...map, file: (yaml ?? image).name, reading: yaml ? null : reading };
-  change({ maps: [...state.maps.filter((other) => other.name !== map.name), known] });
+  const known = { ...map, file, reading: yaml ? null : reading };
+  change({ maps: [...state.maps, known] });
+  const mine = [...kept(), { id: map.id, file, reading: known.reading }];
+  try {
+    sessionStorage.setItem(MINE, JSON.stringify(mine));
+  } catch { /* the browser keeps nothing: after a reload the map is gone */ }
   chooseMap(known);
   return true;
+}
+
+const kept = () => {
+  try {
+    return JSON.parse(sessionStorage.getItem(MINE) ?? "[]");
+  } catch {
+    return [];
+  }
+};
+
+/** The maps that this page has sent before it was loaded again, as far as the service has them. */
+export async function ownMaps() {
+  const found = await Promise.all(kept().map(async (one) => {
+    const map = await api.map(one.id).catch(() => null);
+    return map && { ...map, ...one };
+  }));
+  return found.filter(Boolean);
 }
 
 /** Give the service a file of scans, and look at the first. */
@@ -107,7 +129,7 @@ export async function addScans(file, said = {}) {
 export function openSet(set, from = null) {
   items = new Map();
   files = from;
-  change({ set, scan: null, answer: null, refused: false, verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
+  change({ set, scan: null, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
   selectScan(0);
 }
 
@@ -115,7 +137,7 @@ export function openSet(set, from = null) {
 export async function item(index) {
   if (!items.has(index)) {
     const start = index - (index % CHUNK), { id } = state.set;
-    const some = await aboutScans((now) => api.items(now, start, CHUNK));
+    const some = await aboutScans((now) => api.items(now, { start, count: CHUNK, ...takenOf(state.taken) }));
     if (id !== state.set.id && !files) return null;
     for (const one of some) items.set(one.index, prepared(one));
   }
@@ -170,10 +192,20 @@ export const locate = api.newest(async () => {
   granted = known;
   const verdicts = [...state.verdicts];
   verdicts[index] = answer.verdict;
-  change({ answer, verdicts, reading: -1, refused: false });
+  change({ answer, verdicts, reading: -1, refused: false, hints: [] });
+  if (!SURE.includes(answer.verdict)) doubt();
   if (answer.hypotheses.length) chooseHypothesis(0);
   else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }));
   else askScore();
+});
+
+const SURE = ["unique", "ambiguous"];
+
+/** Ask what keeps the scan from fitting, in the words of the command. */
+const doubt = api.newest(async () => {
+  const { map, scan, known } = state;
+  const hints = await attempt("", () => aboutScans((id) => api.doubts({ ...asked(id), ...priorOf(state.known) })));
+  if (hints && scan === state.scan && map === state.map && known === state.known) change({ hints });
 });
 
 /** Draw the scan at a hypothesis. */
@@ -199,7 +231,10 @@ const askScore = api.newest(async () => {
   const { map, scan, pose } = state, before = settled;
   if (!map || !scan || !pose) return;
   const fit = await attempt("", () => aboutScans((id) => api.score({ ...asked(id), ...fitAt(pose) })));
-  if (fit && scan === state.scan && map === state.map && before === settled) change({ fit: { ...fit, of: scan } });
+  if (!fit || scan !== state.scan || map !== state.map || before !== settled) return;
+  const { answer, chosen } = state;
+  const best = answer && chosen === 0 && pose === state.pose ? { answer: { ...answer, counted: fit.counts } } : {};
+  change({ fit: { ...fit, of: scan }, ...best });
 });
 
 /** Move the pose to where the scan fits best nearby. */
@@ -242,23 +277,51 @@ export async function saved() {
 
 // ---- layers
 
-/** Show the layer that is chosen. */
-export const showLayer = api.newest(async () => {
+let wanted = new AbortController(); // of the layer that is computed
+
+/** Show the layer that is chosen; the one that is still computed is given up. */
+export function showLayer() {
+  wanted.abort();
+  wanted = new AbortController();
+  draw(wanted.signal);
+}
+
+/** Give up the layer that is computed. */
+export function stopLayer() {
+  change({ layer: "", slice: -1 });
+}
+
+const draw = api.newest(async (signal) => {
   const { map, layer, slice, scan } = state, likely = METHODS.includes(layer);
-  const over = () => map !== state.map || layer !== state.layer;
   change({ spots: [], ...(layer === "visibility" ? {} : { seen: null }) });
   if (!map || !layer || layer === "visibility" || layer === "atlas" || (likely && !scan)) {
     change({ picture: null });
-    if (map && layer === "atlas" && scan) await survey(map, scan, over);
+    if (map && layer === "atlas" && scan) await survey(map, scan, signal);
     return;
   }
   const of = { method: layer, slice: slice < 0 ? "max" : slice };
   const ask = () => (likely
-    ? aboutScans((id) => api.layer("likelihood", { ...asked(id), ...of }))
-    : api.layer(layer, { map: map.name }));
-  const picture = await attempt(`Computing ${layer}`, ask);
-  if (!over()) change({ picture: picture && { ...picture, layer } });
+    ? aboutScans((id) => api.layer("likelihood", { ...asked(id), ...of }, signal))
+    : api.layer(layer, { map: map.id }, signal));
+  const picture = await stoppable(layer, signal, () => attempt("the layer", ask));
+  if (!signal.aborted) change({ picture: picture && { ...picture, layer } });
 });
+
+/** Do what takes long: how long, is said, and that it can be stopped. */
+async function stoppable(what, signal, work) {
+  const begin = performance.now();
+  const tell = () => {
+    const seconds = Math.round((performance.now() - begin) / 1000);
+    if (seconds && !signal.aborted) change({ waiting: `Computing ${what}: ${seconds} s` });
+  };
+  const clock = setInterval(tell, 500);
+  try {
+    return await work();
+  } finally {
+    clearInterval(clock);
+    change({ waiting: "" });
+  }
+}
 
 const PLACES = 300; // of an atlas, about
 const AROUND = 5.5; // radians: a laser that sees so much needs one heading at each place
@@ -271,20 +334,21 @@ export function surveyOf(map, scan) {
 }
 
 /** Simulate the laser of the scan all over the map, some places at a time. */
-async function survey(map, scan, over) {
-  for (let start = 0; start !== null && !over();) {
-    const part = await attempt("", () => aboutScans((id) => api.atlas({ ...asked(id), ...surveyOf(map, scan), start })));
-    if (!part || over()) return;
+async function survey(map, scan, signal) {
+  for (let start = 0; start !== null && !signal.aborted;) {
+    const part = await attempt("the atlas", () => aboutScans((id) => api.atlas({ ...asked(id), ...surveyOf(map, scan), start }, signal)));
+    if (!part || signal.aborted) break;
     start = part.next;
-    change({ spots: [...state.spots, ...part.spots], note: start === null ? "" : `The atlas: ${start} of ${part.of} poses` });
+    change({ spots: [...state.spots, ...part.spots], waiting: start === null ? "" : `The atlas: ${start} of ${part.of} poses` });
   }
+  change({ waiting: "" });
 }
 
 /** Show what is seen from a point. */
 export const look = api.newest(async ({ x, y }) => {
   const { map } = state;
   if (!map || !holds(map, { x, y })) return;
-  const seen = await attempt("", () => api.visibility(map.name, `${x.toFixed(3)},${y.toFixed(3)}`));
+  const seen = await attempt("", () => api.visibility(map.id, `${x.toFixed(3)},${y.toFixed(3)}`));
   if (seen && state.layer === "visibility" && map === state.map) change({ seen });
 });
 
@@ -299,7 +363,7 @@ export async function follow() {
   }
   const { map, set } = state;
   if (!map || !set?.odom) return;
-  const socket = api.tracker(map.name), answers = [], lines = "the tracker";
+  const socket = api.tracker(map.id), answers = [], lines = "the tracker";
   trouble(null, "");
   change({ following: socket, beliefs: [] });
   const running = () => state.following === socket && map === state.map && set.name === state.set.name;
@@ -328,11 +392,12 @@ export async function follow() {
   locate();
 }
 
-/** Look at a scan with what the tracker believes there. */
+/** Look at a scan with what the tracker believes there, and ask what its readings say there. */
 function showBelief(index, scan, belief) {
   const beliefs = [...state.beliefs], pose = poseOf(belief, scan) ?? state.pose;
   beliefs[index] = belief;
-  change({ index, scan, beliefs, pose, answer: null, fit: null, chosen: -2, reading: -1 });
+  change({ index, scan, beliefs, pose, answer: null, hints: [], chosen: -2, reading: -1 });
+  askScore();
 }
 
 /** The sensor's pose by a belief, whose places are the robot's. */

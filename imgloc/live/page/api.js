@@ -12,6 +12,26 @@ export class Problem extends Error {
     super(detail || title || `The service answered ${status}.`);
     this.status = status;
   }
+
+  /** Whether the same may be answered a little later: the service is busy, or was not there. */
+  get passes() {
+    return [0, 503, 504].includes(this.status);
+  }
+}
+
+const AGAIN = [500, 1000, 2000]; // milliseconds until what is busy is asked again
+
+/** Ask again, a few times, what may be answered a little later. */
+export async function patiently(work, waits = AGAIN) {
+  for (const wait of waits) {
+    try {
+      return await work();
+    } catch (error) {
+      if (!(error instanceof Problem) || error.status !== 503) throw error;
+      await new Promise((done) => { setTimeout(done, wait); });
+    }
+  }
+  return work();
 }
 
 /** Ask, with what is not empty of some `values` as the query; a Problem if that is refused. */
@@ -21,7 +41,8 @@ async function ask(path, values = {}, options = {}) {
   let response;
   try {
     response = await fetch(given.length ? `${path}?${new URLSearchParams(given)}` : path, { ...options, headers });
-  } catch {
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
     throw new Problem(0, { detail: "The service does not answer. Does imgloc serve still run?" });
   }
   if (response.status === 401) throw new Problem(401, { detail: token ? WRONG : MISSING });
@@ -30,14 +51,18 @@ async function ask(path, values = {}, options = {}) {
 }
 
 const json = async (response) => (await response).json();
-const post = (path, values, body) => ask(path, values, { method: "POST", body });
+const post = (path, values, body) => patiently(() => ask(path, values, { method: "POST", body }));
+const get = (path, values, signal) => patiently(() => ask(path, values, { signal }));
 const segment = encodeURIComponent;
 
 /** The maps of the service, and the scans that `imgloc open` was given. */
-export const maps = () => json(ask("v1/maps"));
+export const maps = () => json(get("v1/maps"));
+
+/** One map, by its id. */
+export const map = (id) => json(get(`v1/maps/${segment(id)}`));
 
 /** The cells of a map as an image: 0 wall, 254 free, 205 unknown. */
-export const cells = async (map) => bitmap(await ask(`v1/maps/${segment(map)}/image`));
+export const cells = async (map) => bitmap(await get(`v1/maps/${segment(map)}/image`));
 
 /** Give the service a map: an image with its YAML, or with what the image does not say. */
 export function uploadMap(image, yaml, said) {
@@ -50,25 +75,28 @@ export function uploadMap(image, yaml, said) {
 /** Give the service a file of scans, in any format that imgloc reads. */
 export const uploadScans = (file, said) => json(post("v1/scans", { name: file.name, ...said }, file));
 
-/** Scans of a file, from the one at `start` on. */
-export const items = async (id, start, count) => (await json(ask(`v1/scans/${segment(id)}`, { start, count }))).items;
+/** Some scans of a file, as they were taken. */
+export const items = async (id, values) => (await json(get(`v1/scans/${segment(id)}`, values))).items;
 
 /** Where a scan is: the row of `imgloc localize --json`. */
 export const localize = (values) => json(post("v1/localize", values));
+
+/** What most likely keeps a scan from fitting: the sentences of the command. */
+export const doubts = async (values) => (await json(post("v1/doubts", values))).hints;
 
 /** What each reading says at a pose; `settle` moves the pose to where it fits best nearby. */
 export const score = (values) => json(post("v1/score", values));
 export const settle = (values) => json(post("v1/settle", values));
 
 /** What is seen from a point. */
-export const visibility = (map, at) => json(ask("v1/layers/visibility", { map, at }));
+export const visibility = (map, at) => json(get("v1/layers/visibility", { map, at }));
 
 /** Some spots of the atlas, from the one at `start` on. */
-export const atlas = (values) => json(ask("v1/layers/atlas", values));
+export const atlas = (values, signal) => json(get("v1/layers/atlas", values, signal));
 
 /** A layer as an image, with what its greys mean. */
-export async function layer(what, values) {
-  const response = await ask(`v1/layers/${what}`, values);
+export async function layer(what, values, signal) {
+  const response = await get(`v1/layers/${what}`, values, signal);
   const number = (name) => Number.parseFloat(response.headers.get(`Imgloc-${name}`));
   return {
     what, image: await bitmap(response), resolution: number("Resolution"),
@@ -83,7 +111,7 @@ export const marked = async (id, poses) => {
 };
 
 /** The polygon of a region as the image that `--region` takes. */
-export const regionImage = async (map, region) => (await ask("v1/layers/region", { map, region })).blob();
+export const regionImage = async (map, region) => (await get("v1/layers/region", { map, region })).blob();
 
 /** The tracker: a line in, a line out. */
 export function tracker(map) {

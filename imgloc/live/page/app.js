@@ -14,6 +14,7 @@ import { paint, paintStrip } from "./paint.js";
 import { showTip, startPanel } from "./panel.js";
 import { listen } from "./pointer.js";
 import { change, state, watch } from "./state.js";
+import { takeTool } from "./tools.js";
 import { View } from "./view.js";
 
 const canvas = $("canvas"), context = canvas.getContext("2d"), view = new View();
@@ -50,15 +51,31 @@ function fit() {
   redraw();
 }
 
+const SOON = 1000, LATEST = 10000; // milliseconds until a map is asked for again
+const pause = (time) => new Promise((done) => { setTimeout(done, time); });
+
+/** Load the map; while the service has no time for it, say so and ask again. */
 async function loadCells() {
   const { map } = state;
   cells = null;
+  change({ blank: "" });
   redraw();
-  if (!map) return;
-  const image = await actions.attempt(`Loading ${map.name}`, () => api.cells(map.name));
-  if (!image || map !== state.map) return;
-  cells = new Cells(image);
-  fit();
+  for (let wait = SOON; map && map === state.map; wait = Math.min(2 * wait, LATEST)) {
+    try {
+      const image = await api.cells(map.id);
+      if (map !== state.map) return;
+      cells = new Cells(image);
+      change({ blank: "" });
+      fit();
+      return;
+    } catch (error) {
+      if (!(error instanceof api.Problem)) throw error;
+      if (map !== state.map) return;
+      change({ blank: `The map cannot be shown: ${error.message}${error.passes ? " The page asks again." : ""}` });
+      if (!error.passes) return;
+      await pause(wait);
+    }
+  }
 }
 
 function loadLayer() {
@@ -74,7 +91,11 @@ function loadLayer() {
 
 function showMaps() {
   const { maps, map } = state;
-  $("map").replaceChildren(...maps.map(({ name }) => make("option", { value: name, selected: name === map?.name }, name)));
+  const called = ({ id, name }) => {
+    const alike = maps.filter((other) => other.name === name);
+    return alike.length > 1 ? `${name} (${1 + alike.findIndex((other) => other.id === id)})` : name;
+  };
+  $("map").replaceChildren(...maps.map((one) => make("option", { value: one.id, selected: one.id === map?.id }, called(one))));
   $("map").disabled = !maps.length;
   document.body.classList.toggle("empty", !map);
 }
@@ -114,7 +135,7 @@ const on = (id, type, listener) => $(id).addEventListener(type, listener);
 const onClick = (id, listener) => on(id, "click", listener);
 
 function listenToControls() {
-  on("map", "change", ({ target }) => actions.chooseMap(state.maps.find(({ name }) => name === target.value)));
+  on("map", "change", ({ target }) => actions.chooseMap(state.maps.find(({ id }) => id === target.value)));
   on("method", "change", ({ target }) => {
     change({ method: target.value });
     actions.locate();
@@ -124,9 +145,9 @@ function listenToControls() {
   onClick("help", () => $("sheet").showModal());
   onClick("sheet-close", () => $("sheet").close());
   onClick("trouble-close", () => change({ trouble: "" }));
-  onClick("reading-ok", () => $("resolution").reportValidity() && $("reading").close("ok"));
+  onClick("stop", () => actions.stopLayer());
   onClick("reading-cancel", () => $("reading").close(""));
-  for (const name of ["move", "region", "arrow"]) onClick(`tool-${name}`, () => change({ tool: name }));
+  for (const name of ["move", "region", "arrow"]) onClick(`tool-${name}`, () => { takeTool(name); canvas.focus(); });
   onClick("fit", fit);
   onClick("larger", () => { view.zoom(1.4); redraw(); });
   onClick("smaller", () => { view.zoom(1 / 1.4); redraw(); });
@@ -137,6 +158,7 @@ function listenToControls() {
   on("index", "input", ({ target }) => actions.selectScan(Number(target.value)));
   onClick("follow", () => actions.follow());
   listenToKnown();
+  listenToTaken();
   on("layer", "change", ({ target }) => change({ layer: target.value, slice: -1 }));
   onClick("next-layer", () => {
     const select = $("layer");
@@ -158,6 +180,16 @@ function listenToControls() {
   onClick("copy-python", () => state.map && copy(script(state), "Python"));
 }
 
+function listenToTaken() {
+  on("flipped", "change", ({ target }) => actions.take({ flipped: target.checked }));
+  for (const [id, key] of [["reach", "range_max"], ["unit", "range_scale"], ["sensor", "sensor"]]) {
+    on(id, "change", ({ target }) => {
+      const value = target.value.replaceAll(" ", "");
+      if (target.reportValidity()) actions.take({ [key]: value });
+    });
+  }
+}
+
 function listenToKnown() {
   onClick("in-view", () => state.map && actions.know({ region: view.corners().map(({ x, y }) => [x, y]) }));
   onClick("forget", () => {
@@ -175,7 +207,7 @@ function listenToKnown() {
   on("clearance", "change", ({ target }) => actions.know({ clearance: Math.max(0, Number(target.value) || 0) }));
   onClick("save-region", async () => {
     const { map, known } = state;
-    const image = await actions.attempt("Drawing", () => api.regionImage(map.name, regionText(known.region)));
+    const image = await actions.attempt("Drawing", () => api.regionImage(map.id, regionText(known.region)));
     if (image) download(image, "region.png");
   });
 }
@@ -192,10 +224,12 @@ async function start() {
   watch(["maps", "map"], showMaps);
   watch(["picture"], loadLayer);
   watch(["layer", "slice"], () => actions.showLayer());
+  watch(["layer"], () => { $("layer").value = state.layer; });
+  watch(["taken"], () => { $("flipped").checked = state.taken.flipped; });
   watch(["scan"], () => { if (actions.METHODS.includes(state.layer)) actions.showLayer(); });
   watch(["set", "index", "following"], showLog);
   watch(["tool"], showTool);
-  watch(["map", "scan", "pose", "fit", "answer", "chosen", "reading", "known", "seen", "spots", "beliefs", "marks", "verdicts", "index"], redraw);
+  watch(["map", "scan", "pose", "fit", "answer", "chosen", "reading", "known", "seen", "spots", "beliefs", "marks", "verdicts", "index", "drawn", "cursor", "tool", "layer"], redraw);
   addEventListener("beforeunload", (event) => { if (state.unsaved) event.preventDefault(); });
   onScheme(() => { cells?.repaint(); redraw(); });
   new ResizeObserver(resize).observe($("stage"));
@@ -214,14 +248,14 @@ async function askForMaps() {
     const found = await actions.attempt("Asking for maps", api.maps);
     document.body.classList.toggle("shut", !found);
     if (!found) return null;
-    const here = new Map(state.maps.map((map) => [map.name, map]));
-    change({ maps: found.maps.map((map) => here.get(map.name) ?? map) });
-    if (!state.map && found.maps.length) actions.chooseMap(state.maps[0]);
+    const here = new Map(state.maps.map((map) => [map.id, map])), mine = state.maps.filter((map) => map.uploaded);
+    change({ maps: [...found.maps.map((map) => here.get(map.id) ?? map), ...(mine.length ? mine : await actions.ownMaps())] });
+    if (!state.map && state.maps.length) actions.chooseMap(state.maps[0]);
     const words = found.preparing.length ? `The service is preparing ${found.preparing.join(", ")} …` : "";
     say($("preparing"), words);
     $("preparing").hidden = !words;
     if (!words) return found;
-    await new Promise((done) => { setTimeout(done, AGAIN); });
+    await pause(AGAIN);
   }
 }
 

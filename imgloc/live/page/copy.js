@@ -1,6 +1,6 @@
 // What is seen, as a command and as Python: the same answer without the page.
 
-import { METHODS, surveyOf } from "./actions.js";
+import { METHODS, surveyOf, takenOf } from "./actions.js";
 import { degrees } from "./geometry.js";
 import { isKnown } from "./known.js";
 
@@ -22,6 +22,15 @@ function filesOf({ map, set }) {
 /** How an image without a YAML is read. */
 const readingOf = ({ reading }) => reading ?? {};
 
+/** The options of how the scans were taken: by the page, and by the command that opened them. */
+const takenOptions = ({ taken, set }) => [
+  ...(set?.options ?? []),
+  ...Object.entries(takenOf(taken)).map(([key, value]) => (value === true ? `--${key}` : `--${key.replace("_", "-")}=${value}`)),
+];
+
+/** The number of the scan in its file. */
+const numberOf = ({ set, index }) => set?.indices?.[index] ?? index;
+
 /** The options of what is known. */
 function knownOptions({ near, region, clearance }) {
   const out = [];
@@ -33,13 +42,14 @@ function knownOptions({ near, region, clearance }) {
 
 /** Commands that show what the page shows. */
 export function command(state) {
-  const { map, set, scan, index, method, known, layer } = state, files = filesOf(state);
+  const { map, set, scan, method, known, layer } = state, files = filesOf(state), index = numberOf(state);
+  const taken = takenOptions(state).map((word) => (word.startsWith("-") ? word : quoted(word)));
   const reading = Object.entries(readingOf(map)).map(([key, value]) => `--${key}=${value}`);
   const line = (...words) => words.filter((word) => word !== "").join(" ");
   const lines = [];
   if (set) {
     const how = method === "fused" ? [] : ["--method", method];
-    lines.push(line("imgloc localize", quoted(files.map), quoted(files.scans), "--scans-index", index, ...reading, ...how, ...knownOptions(known)));
+    lines.push(line("imgloc localize", quoted(files.map), quoted(files.scans), "--scans-index", index, ...reading, ...taken, ...how, ...knownOptions(known)));
   }
   const show = ["imgloc map show", quoted(files.map), ...reading];
   if (["bmap", "vmap", "distance"].includes(layer)) lines.push(line(...show, "--what", layer, "--out", `${layer}.png`));
@@ -47,7 +57,7 @@ export function command(state) {
     lines.push(line(...show, "--what visibility", `--at=${state.seen.at.map(number).join(",")}`, "--out visibility.png"));
   }
   if (METHODS.includes(layer) && set) {
-    lines.push(line(...show, "--what likelihood", "--scans", quoted(files.scans), "--scans-index", index, "--method", layer, "--out", `${layer}.png`));
+    lines.push(line(...show, "--what likelihood", "--scans", quoted(files.scans), "--scans-index", index, ...taken, "--method", layer, "--out", `${layer}.png`));
   }
   if (layer === "atlas" && scan) {
     const { step, headings } = surveyOf(map, scan), wide = Math.max(...scan.angles) - Math.min(...scan.angles);
@@ -55,14 +65,14 @@ export function command(state) {
     if (Number.isFinite(scan.high)) laser.push("--range-max", number(scan.high));
     lines.push(line("imgloc atlas", quoted(files.map), ...reading, "--step", step, "--headings", headings, ...laser, "--out atlas.png"));
   }
-  if (state.beliefs.length) lines.push(line("imgloc track", quoted(files.map), quoted(files.scans), ...reading));
+  if (state.beliefs.length) lines.push(line("imgloc track", quoted(files.map), quoted(files.scans), ...reading, ...taken));
   if (!lines.length) lines.push(line("imgloc map check", quoted(files.map), ...reading));
   return `${lines.join("\n")}\n`;
 }
 
 /** Python that answers what the page shows. */
 export function script(state) {
-  const { map, set, index, method, known, pose, chosen, layer } = state, files = filesOf(state);
+  const { map, set, method, known, pose, chosen, layer } = state, files = filesOf(state), index = numberOf(state);
   const reading = Object.entries(readingOf(map))
     .map(([key, value]) => `, ${key}=${key === "origin" ? `(${value})` : value}`).join("");
   const lines = ["import imgloc", ""];
@@ -70,7 +80,7 @@ export function script(state) {
   if (known.region && set) lines.splice(1, 0, "import numpy as np", "from skimage.draw import polygon2mask");
   lines.push(`grid = imgloc.load_map(${python(files.map)}${reading})`, "features = imgloc.prepare(grid)");
   if (!set) return `${lines.join("\n")}\n`;
-  lines.push(`scan = imgloc.load_scans(${python(files.scans)})[${index}]`);
+  lines.push(`scan = imgloc.load_scans(${python(files.scans)})[${index}]`, ...takenLines(state));
   const options = method === "fused" ? [] : [`method=${python(method)}`];
   if (isKnown(known)) {
     const said = [];
@@ -84,6 +94,19 @@ export function script(state) {
   if (METHODS.includes(layer)) lines.push(`stack = imgloc.likelihood(features, scan, ${python(layer)})  # (theta, y, x)`);
   if (pose && chosen === -1) lines.push(...poseLines(pose));
   return `${lines.join("\n")}\n`;
+}
+
+/** The scan as it was taken. */
+function takenLines({ taken: { flipped, range_max: cut, range_scale: scale, sensor }, set }) {
+  const lines = [];
+  if (set.options?.length) lines.push(`# opened with ${set.options.join(" ")}`);
+  if (scale) lines.push(`scan = scan.scaled(${scale})`);
+  if (flipped) lines.push("scan = scan.flipped");
+  const fields = [];
+  if (cut) fields.push(`range_max=min(scan.range_max, ${cut})`);
+  if (sensor) fields.push(`T_base_laser=imgloc.Pose2D(${sensor})`);
+  if (fields.length) lines.push("from dataclasses import replace", `scan = replace(scan, ${fields.join(", ")})`);
+  return lines;
 }
 
 /** The cells whose centres are in a region. */

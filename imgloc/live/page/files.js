@@ -29,7 +29,7 @@ export async function take(list) {
     return;
   }
   if (images.length) {
-    const [image] = images, reading = yaml ? {} : await askReading(image.name);
+    const [image] = images, reading = yaml ? {} : await askReading(image);
     if (!reading) return;
     if (LOSSY.test(image.name)) reading.allow_lossy = true;
     if (!(await addMap(image, yaml, reading))) return;
@@ -37,19 +37,48 @@ export async function take(list) {
   if (scans.length) await addScans(scans[0]);
 }
 
+const FAR = 1000; // metres: a map that is longer is most likely read with a wrong resolution
+
+/** Pixels of an image, [width, height]; null if the browser does not read it. */
+async function sizeOf(file) {
+  const head = /^P[25]\s(?:#.*\s)*(\d+)\s+(\d+)/.exec(await file.slice(0, 1000).text());
+  if (head) return [Number(head[1]), Number(head[2])];
+  const image = await createImageBitmap(file).catch(() => null);
+  return image && [image.width, image.height];
+}
+
 /** Ask what an image does not say: {resolution, origin}; null if that is given up. */
-function askReading(name) {
-  const dialog = $("reading");
-  $("reading-name").textContent = name;
+async function askReading(file) {
+  const dialog = $("reading"), field = $("resolution"), words = $("reading-size"), size = await sizeOf(file);
+  let sure = false; // that the map is so large
+  const longest = () => (size ? Math.max(...size) * Number(field.value) : 0);
+  const tell = (asks) => {
+    const [wide, high] = (size ?? []).map((pixels) => pixels * Number(field.value));
+    words.textContent = size ? `A map of ${wide.toFixed(1)} m × ${high.toFixed(1)} m.${asks ? ` Is a pixel ${field.value} m wide? Press again to use it.` : ""}` : "";
+    words.classList.toggle("warn", asks);
+  };
+  const changed = () => { sure = false; tell(longest() > FAR && size); };
+  const use = () => {
+    if (!field.reportValidity()) return;
+    if (longest() > FAR && !sure) {
+      sure = true;
+      tell(true);
+    } else {
+      dialog.close("ok");
+    }
+  };
+  $("reading-name").textContent = file.name;
+  changed();
+  field.addEventListener("input", changed);
+  $("reading-ok").addEventListener("click", use);
   dialog.returnValue = "";
   dialog.showModal();
-  return new Promise((done) => {
-    dialog.addEventListener("close", () => {
-      if (dialog.returnValue !== "ok") return done(null);
-      const origin = ["x", "y", "yaw"].map((part) => $(`origin-${part}`).value || "0").join(",");
-      return done({ resolution: $("resolution").value, origin });
-    }, { once: true });
-  });
+  await new Promise((done) => { dialog.addEventListener("close", done, { once: true }); });
+  field.removeEventListener("input", changed);
+  $("reading-ok").removeEventListener("click", use);
+  if (dialog.returnValue !== "ok") return null;
+  const origin = ["x", "y", "yaw"].map((part) => $(`origin-${part}`).value || "0").join(",");
+  return { resolution: field.value, origin };
 }
 
 /** Let files be dropped anywhere on the page, or chosen. */

@@ -4,18 +4,21 @@ import * as actions from "./actions.js";
 import { $, make } from "./dom.js";
 import { radians, wrap } from "./geometry.js";
 import { change, state } from "./state.js";
+import { moveCursor, pointing, setPoint, takeTool } from "./tools.js";
 
 const STEP = 0.05, TURN = 1; // metres and degrees; ten times as much with Shift
+const PIXELS = 8; // that the cursor is moved
 
-const shift = (dx, dy) => (event) => {
-  const { pose } = state, by = STEP * (event.shiftKey ? 10 : 1);
-  if (pose) actions.place({ ...pose, x: pose.x + by * dx, y: pose.y + by * dy });
+const shift = (view, dx, dy) => (event) => {
+  const { pose } = state, times = event.shiftKey ? 10 : 1, by = STEP * times;
+  if (pointing()) moveCursor(view, PIXELS * times * dx, PIXELS * times * dy);
+  else if (pose) actions.place({ ...pose, x: pose.x + by * dx, y: pose.y + by * dy });
 };
 const turn = (sign) => (event) => {
   const { pose } = state, by = radians(TURN * (event.shiftKey ? 10 : 1));
   if (pose) actions.place({ ...pose, theta: wrap(pose.theta + sign * by) });
 };
-const tool = (name) => () => change({ tool: state.tool === name ? "move" : name });
+const tool = (name) => () => takeTool(state.tool === name ? "move" : name);
 const reading = (step) => () => {
   const { scan } = state;
   if (scan) change({ reading: (state.reading + step + scan.ranges.length) % scan.ranges.length });
@@ -31,10 +34,10 @@ function table(view, redraw) {
   const zoom = (factor) => () => { view.zoom(factor); redraw(); };
   return [
     ["The scan"],
-    [["ArrowLeft"], "move it 5 cm; with Shift 50 cm", shift(-1, 0)],
-    [["ArrowRight"], "", shift(1, 0)],
-    [["ArrowUp"], "", shift(0, 1)],
-    [["ArrowDown"], "", shift(0, -1)],
+    [["ArrowLeft"], "move it 5 cm, with Shift 50 cm; with a tool, point at the map", shift(view, -1, 0)],
+    [["ArrowRight"], "", shift(view, 1, 0)],
+    [["ArrowUp"], "", shift(view, 0, 1)],
+    [["ArrowDown"], "", shift(view, 0, -1)],
     [["q", "Q"], "turn it left by 1°; with Shift 10°", turn(1)],
     [["e", "E"], "turn it right", turn(-1)],
     [["s"], "settle: move it to where it fits best nearby", () => actions.settle()],
@@ -49,9 +52,10 @@ function table(view, redraw) {
     [["l"], "locate the scan again", () => actions.locate()],
     [["t"], "follow the robot, or stop", () => actions.follow()],
     ["What is known"],
-    [["r"], "draw a region", tool("region")],
+    [["r"], "draw a region: arrows and Enter set its corners, the last one twice", tool("region")],
     [["v"], "the part in view is the region", press("in-view")],
-    [["a"], "draw an arrow: place and heading", tool("arrow")],
+    [["a"], "draw an arrow: arrows and Enter set the place, then where it faces", tool("arrow")],
+    [["Enter"], "set the point", () => setPoint(view)],
     [["k"], "about where the scan is drawn now", () => actions.knowPose()],
     [["x"], "forget what is known", press("forget")],
     ["The map"],
@@ -65,12 +69,13 @@ function table(view, redraw) {
     [["o"], "open files", press("open")],
     [["c"], "copy as command", press("copy-command")],
     [["y"], "copy as Python", press("copy-python")],
-    [["Escape"], "lay the tool down", () => change({ tool: "move", reading: -1, trouble: "" })],
+    [["z"], "stop the layer that is computed", press("stop")],
+    [["Escape"], "lay the tool down", () => { takeTool("move"); change({ reading: -1, trouble: "" }); }],
     [["?"], "this sheet", press("help")],
   ];
 }
 
-const NAMES = { 1: "1 to 9", ",": ", comma", ".": ". period", ArrowLeft: "← → ↑ ↓", PageUp: "Page ↑", PageDown: "Page ↓", Escape: "Esc", q: "Q", e: "E" };
+const NAMES = { 1: "1 to 9", ",": ", comma", ".": ". period", ArrowLeft: "← → ↑ ↓", PageUp: "Page ↑", PageDown: "Page ↓", Escape: "Esc", Enter: "Enter", q: "Q", e: "E" };
 const nameOf = (key) => NAMES[key] ?? key.toUpperCase();
 
 /** Listen to the keyboard, and write the help sheet. */
@@ -93,10 +98,10 @@ export function startKeys(view, redraw) {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
     const { target } = event, range = target.type === "range";
-    const typing = target.matches("input:not([type=range]), select, textarea");
+    const typing = target.matches("input:not([type=range], [type=checkbox]), select, textarea");
     if (typing || (range && /^(Arrow|Page|Home|End)/.test(event.key))) return;
     const action = actionOf.get(event.key);
-    if (!action) return;
+    if (!action || (event.key === "Enter" && target.id !== "canvas")) return;
     event.preventDefault();
     action(event);
   });

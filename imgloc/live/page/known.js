@@ -2,7 +2,7 @@
 
 import { degrees, fixed } from "./geometry.js";
 
-const CORNERS = 60; // of a region, at most
+export const CORNERS = 60; // of a region, at most
 export const RADIUS = 1, TURN = Math.PI / 4; // of an arrow, until they are changed
 
 /** What of it goes to the service, as the parameters of `imgloc localize`. */
@@ -19,29 +19,6 @@ export const regionText = (region) => region.flat().map((value) => value.toFixed
 
 /** Whether anything is known. */
 export const isKnown = ({ near, region, clearance }) => Boolean(near || region || clearance > 0);
-
-/** A line drawn by hand, [[x, y]...], with few corners: those that matter most. */
-export function simplified(line) {
-  const away = (p, a, b) => {
-    const dx = b[0] - a[0], dy = b[1] - a[1], long = Math.hypot(dx, dy);
-    if (long === 0) return Math.hypot(p[0] - a[0], p[1] - a[1]);
-    return Math.abs(dx * (a[1] - p[1]) - dy * (a[0] - p[0])) / long;
-  };
-  const keep = (from, to, tolerance) => {
-    let worst = 0, at = -1;
-    for (let k = from + 1; k < to; k += 1) {
-      const d = away(line[k], line[from], line[to]);
-      if (d > worst) [worst, at] = [d, k];
-    }
-    return worst > tolerance ? [...keep(from, at, tolerance), ...keep(at, to, tolerance)] : [line[to]];
-  };
-  let tolerance = 0.02, out;
-  do {
-    out = [line[0], ...keep(0, line.length - 1, tolerance)];
-    tolerance *= 1.5;
-  } while (out.length > CORNERS);
-  return out;
-}
 
 /** The area of a polygon, m². */
 export const area = (points) => Math.abs(points.reduce((sum, [x, y], k) => {

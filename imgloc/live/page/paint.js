@@ -104,6 +104,28 @@ function drawNear(context, view, [x, y, yaw, radius, turn]) {
   context.restore();
 }
 
+/** What is drawn corner by corner, and where the keys point. */
+function drawDrawn(context, view, { drawn, cursor, tool, layer }) {
+  const { known, halo } = colours(), points = cursor && tool !== "move" ? [...drawn, [cursor.x, cursor.y]] : drawn;
+  if (drawn.length) polygon(context, view, points, { fill: known, stroke: known });
+  for (const [x, y] of drawn) {
+    const [px, py] = view.pixel(x, y);
+    context.fillStyle = known;
+    context.fillRect(px - 4, py - 4, 8, 8);
+  }
+  if (!cursor || (tool === "move" && layer !== "visibility")) return;
+  const [x, y] = view.pixel(cursor.x, cursor.y), path = new Path2D();
+  for (const [dx, dy] of [[1, 0], [0, 1]]) {
+    path.moveTo(x - 12 * dx, y - 12 * dy);
+    path.lineTo(x + 12 * dx, y + 12 * dy);
+  }
+  for (const [style, width] of [[halo, 4], [known, 1.6]]) {
+    context.strokeStyle = style;
+    context.lineWidth = width;
+    context.stroke(path);
+  }
+}
+
 function drawRule(context, view) {
   const { line, halo } = colours(), [length, text] = rule(view), wide = length * view.scale;
   const x = 14, y = view.height - 14, path = new Path2D();
@@ -191,6 +213,7 @@ export function paint(context, view, state, { cells, layer, sketch }) {
   if (known.near) drawNear(context, view, known.near);
   if (sketch?.region) polygon(context, view, sketch.region, { fill: palette.known, stroke: palette.known });
   if (sketch?.near) drawNear(context, view, sketch.near);
+  drawDrawn(context, view, state);
   const belief = state.beliefs[state.index];
   drawTrail(context, view, state.beliefs);
   if (belief) drawBelief(context, view, belief);

@@ -13,17 +13,34 @@ const SHOWN = 6000; // milliseconds that a note stays
 let fading = 0;
 
 /** One or two sentences about an answer. */
-function sentence({ verdict, hypotheses, elsewhere, explained, counts }) {
+function sentence({ verdict, hypotheses, elsewhere, counted, counts }) {
   const [best, second] = hypotheses;
   if (verdict === "invalid") return `Only ${counts.valid} readings are distances to something.`;
   if (!best) return "No pose that may be fits at all.";
-  const mass = percent(best.mass), held = percent(explained);
-  if (verdict === "unique") return `One pose holds ${mass} of the probability; ${held} of the readings end on a wall there.`;
+  const mass = percent(best.mass), distances = ["agrees", "orientation", "visibility", "unexplained"];
+  const of = counted && distances.reduce((sum, kind) => sum + (counted[kind] ?? 0), 0);
+  const held = of ? `; ${percent((counted.agrees ?? 0) / of)} of the readings end on a wall there` : "";
+  if (verdict === "unique") return `One pose holds ${mass} of the probability${held}.`;
   if (verdict === "no-match") return `Even the best pose does not explain the scan. The chance that it was taken elsewhere is ${percent(elsewhere)}.`;
   return second
     ? `Several poses fit: the best holds ${mass} of the probability, the second ${percent(second.mass)}.`
     : `The best pose holds ${mass} of the probability.`;
 }
+
+const WITHHELD = {
+  blind: "this scan says nothing",
+  wide: "its standard deviation is above the limit",
+  unconfirmed: "too few scans along too short a way agree with it yet",
+};
+
+/** What the tracker believes, in a sentence. */
+function beliefWords({ verdict, pose, withheld, mass }) {
+  if (pose) return `The robot is at ${poseWords(pose)}.`;
+  if (withheld) return `One place holds ${percent(mass)}, but ${WITHHELD[withheld] ?? withheld}.`;
+  return verdict === "lost" ? "The scans fit no place that the tracker knows." : `Several places fit: the best holds ${percent(mass)} of the probability.`;
+}
+
+let told = ""; // of the tracker, to those who listen
 
 function showVerdict() {
   const { answer, set, map, index, beliefs, busy } = state, belief = beliefs[index], box = $("verdict");
@@ -36,18 +53,23 @@ function showVerdict() {
     say($("word"), answer.verdict);
     say($("why"), sentence(answer));
     const pose = answer.pose ? ` ${poseWords(answer.pose)}.` : "";
-    say($("live"), `Scan ${index}: ${answer.verdict}. ${sentence(answer)}${pose}`);
+    // Once for each answer: the share of the readings comes later.
+    say($("live"), `Scan ${index}: ${answer.verdict}. ${sentence({ ...answer, counted: null })}${pose}`);
   } else if (belief) {
     say($("word"), belief.verdict);
-    say($("why"), "");
+    say($("why"), beliefWords(belief));
+    // Whoever listens hears of changes, and of the end, not of each scan.
+    if (told !== belief.verdict || !state.following) say($("live"), `Scan ${index}: the tracker says ${belief.verdict}. ${beliefWords(belief)}`);
+    told = belief.verdict;
   } else {
     const word = state.refused && busy !== LOOKING ? "No answer" : "Looking …";
     say($("word"), map ? (set ? word : "No scan yet") : "No map yet");
     if (map && set && word === "No answer") say($("live"), `Scan ${index}: no answer.`);
     say($("why"), map && !set ? "Drop a file of scans on the map." : "");
   }
-  const where = belief?.pose ? ` at ${poseWords(belief.pose)}` : belief?.withheld ? `: ${belief.withheld}` : "";
-  say($("tracked"), belief ? `Tracker: ${belief.verdict}${where}.` : "");
+  if (!state.following) told = "";
+  $("hints").replaceChildren(...state.hints.map((text) => make("li", {}, text)));
+  say($("tracked"), belief && answer ? `Tracker: ${belief.verdict}. ${beliefWords(belief)}` : "");
 }
 
 function showHypotheses() {
@@ -134,6 +156,7 @@ function showLayerRow() {
     say($("scale-high"), likely ? "most" : `${fixed(picture.high, 1)}${unit}`);
   }
   $("atlas-key").hidden = layer !== "atlas" || !state.spots.length;
+  $("legend").hidden = $("scale").hidden && $("atlas-key").hidden;
   const hints = { visibility: "Point at the map: what is seen from there.", vmap: "Colour is the direction from which a wall is seen." };
   const needs = (likely || layer === "atlas") && !state.scan ? "It is of a scan: open one." : "";
   say($("layer-hint"), needs || (hints[layer] ?? ""));
@@ -174,12 +197,20 @@ export function showTip(view) {
 /** Paint the shapes of the key, and the panel from now on. */
 export function startPanel() {
   makeKey();
-  watch(["answer", "refused", "beliefs", "index", "busy", "map", "set", "following"], showVerdict);
+  watch(["answer", "refused", "beliefs", "index", "busy", "map", "set", "following", "hints"], showVerdict);
   watch(["answer", "chosen"], showHypotheses);
   watch(["pose", "fit", "scan", "chosen", "answer", "marks", "index"], showPose);
   watch(["known"], showKnown);
   watch(["layer", "picture", "slice", "spots", "scan"], showLayerRow);
   watch(["marks", "set"], showMarks);
+  watch(["blank"], () => {
+    say($("blank"), state.blank);
+    $("blank").hidden = !state.blank;
+  });
+  watch(["waiting"], () => {
+    say($("working-words"), state.waiting);
+    $("working").hidden = !state.waiting;
+  });
   watch(["trouble"], () => {
     say($("trouble-words"), state.trouble);
     $("trouble").hidden = !state.trouble;

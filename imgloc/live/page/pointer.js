@@ -2,13 +2,14 @@
 
 import { chooseHypothesis, know, look, place } from "./actions.js";
 import { wrap } from "./geometry.js";
-import { area, RADIUS, simplified, TURN } from "./known.js";
+import { RADIUS, TURN } from "./known.js";
 import { handleOf } from "./paint.js";
 import { readingAt } from "./scan.js";
 import { change, state } from "./state.js";
+import { closeRegion, rectangle, setCorner } from "./tools.js";
 
 const TAP = 6; // pixels that a finger may shake
-const SMALLEST = 0.01; // m², of a region
+const CLOSE = 12; // pixels around the first corner, in which a click closes the region
 const apart = ([ax, ay], [bx, by]) => Math.hypot(ax - bx, ay - by);
 
 /** Drag the scan: its pose follows the pointer. */
@@ -28,18 +29,20 @@ function turning(view) {
   } };
 }
 
-/** Draw a region. */
+/** Draw a region: a rectangle by dragging, corner after corner by clicks. */
 function drawingRegion(view, start, sketch) {
-  const first = view.point(...start), line = [[first.x, first.y]];
+  const first = view.point(...start), from = [first.x, first.y];
+  let box = [];
   return {
     move: (at) => {
       const { x, y } = view.point(...at);
-      line.push([x, y]);
-      sketch({ region: line });
+      box = rectangle(from, [x, y]);
+      sketch({ region: box });
     },
+    tap: () => setCorner(first, CLOSE / view.scale),
     end: () => {
       sketch(null);
-      if (line.length > 2 && area(line) > SMALLEST) know({ region: simplified(line) });
+      if (box.length) closeRegion(box);
     },
   };
 }
@@ -153,6 +156,7 @@ export function listen(canvas, view, { redraw, sketch }) {
     if (!down.size && event.pointerType === "mouse") change({ reading: -1 });
   });
   canvas.addEventListener("dblclick", (event) => {
+    if (state.tool === "region" && state.drawn.length) closeRegion();
     if (!state.scan || state.tool !== "move") return;
     const { x, y } = view.point(...where(event));
     place({ x, y, theta: state.pose?.theta ?? 0 });
@@ -169,6 +173,7 @@ export function listen(canvas, view, { redraw, sketch }) {
     if (state.layer === "visibility") look(view.point(...at));
     if (tool !== "move") {
       canvas.dataset.cursor = "draw";
+      if (state.drawn.length) change({ cursor: view.point(...at) });
       return;
     }
     const turn = scan && pose && apart(at, handleOf(view, pose)) < 14;

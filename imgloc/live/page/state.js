@@ -7,10 +7,14 @@ export const state = {
   index: 0, // of the scan that is looked at
   scan: null, // that scan, as scan.js prepares it; null until it is here
   method: "fused",
+  taken: { flipped: false, range_max: "", range_scale: "", sensor: "" }, // how the scans were taken
   known: { near: null, region: null, clearance: 0 },
   busy: "", // what the service is asked at the moment
   trouble: "", // the last error, in a sentence
   note: "", // news that are no error
+  waiting: "", // a layer that is computed, which can be stopped
+  blank: "", // why the map is not drawn
+  hints: [], // what most likely keeps the scan from fitting
   answer: null, // of the scan `index`, as `imgloc localize --json` prints it
   refused: false, // whether the service has refused to answer the scan
   verdicts: [], // of the scans that were answered, by index
@@ -28,6 +32,8 @@ export const state = {
   marks: [], // true poses, by index
   unsaved: false, // whether marks are in no file yet
   tool: "move",
+  drawn: [], // corners that the tool has set, [[x, y]...]
+  cursor: null, // {x, y} of the map frame, where the keyboard points
 };
 
 const listeners = [];

@@ -1,0 +1,395 @@
+"""What some clients do to a service, with or without intent, and the others must not notice."""
+
+import asyncio
+import contextlib
+import io
+import json
+import os
+import random
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from command import MAPS, command
+from serving import Served, served
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+import imgloc
+from imgloc.io.textscans import read_jsonl_line
+from imgloc.live.bounds import Bounds
+from imgloc.live.localizer import Localizer
+from imgloc.live.service import Service
+from imgloc.model import LaserScan, Pose2D
+from imgloc.output.rows import scan_row
+
+CURVED = MAPS / "curved.yaml"
+SCAN = {"ranges": [2.0] * 90, "angle_min": -1.5, "angle_increment": 0.03}
+LINE = json.dumps({**SCAN, "odom": [0, 0, 0]})
+
+
+def room(width: int, height: int, mark: int = 0) -> bytes:
+    """The image of a room with something in it."""
+    cells = np.full((height, width), 254, np.uint8)
+    cells[:2] = cells[-2:] = 0
+    cells[:, :2] = cells[:, -2:] = 0
+    cells[height // 3 : height // 3 + 6 + mark, width // 4 : width // 4 + 10 + mark] = 0
+    return bytes(cv2.imencode(".png", cells)[1])
+
+
+def sent_map(one: Served, image: bytes, **more: Any) -> str:
+    """The id of a map that is sent."""
+    how = {"name": "big", "resolution": 0.05, **more}
+    answer = httpx.post(f"{one.address}/v1/maps", params=how, content=image, timeout=60)
+    assert answer.status_code == 201, answer.text
+    return str(answer.json()["id"])
+
+
+def sent_scans(one: Served, body: bytes, name: str = "a.jsonl") -> str:
+    """The id of scans that are sent."""
+    answer = httpx.post(f"{one.address}/v1/scans?name={name}", content=body, timeout=60)
+    assert answer.status_code == 201, answer.text
+    return str(answer.json()["id"])
+
+
+def healthy(one: Served) -> bool:
+    return httpx.get(f"{one.address}/healthz", timeout=30).status_code == 200
+
+
+def meanwhile(one: Served, ask: Callable[[], httpx.Response]) -> tuple[int, httpx.Response]:
+    """How often it is said that the service runs before a request is answered; its answer."""
+    found, count = list[httpx.Response](), 0
+    thread = threading.Thread(target=lambda: found.append(ask()))
+    thread.start()
+    with httpx.Client(base_url=one.address, timeout=30) as http:
+        while thread.is_alive():
+            assert http.get("/healthz").status_code == 200
+            count += not found
+    thread.join()
+    return count, found[0]
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[Served]:
+    with served(CURVED) as one:
+        yield one
+
+
+# Nothing is computed on the loop.
+
+
+@pytest.mark.parametrize("query", ["region", "clearance"])
+def test_others_are_answered_while_a_prior_is_made(service: Served, query: str) -> None:
+    id_ = sent_map(service, room(2000, 2000))
+    turns = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    corners = 50 + 45 * np.column_stack((np.cos(turns), np.sin(turns)))
+    prior = {"region": ",".join(f"{v:.2f}" for v in corners.ravel()), "clearance": "0.3"}[query]
+    asked = {"map": id_, query: prior}
+    url = f"{service.address}/v1/localize"
+    count, answer = meanwhile(service, lambda: httpx.post(url, params=asked, json=SCAN, timeout=60))
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["map"] == id_
+    assert count >= 10  # of a search that takes a second
+    assert httpx.delete(f"{service.address}/v1/maps/{id_}").status_code == 204
+
+
+def test_a_long_list_of_indices_is_refused_before_it_is_made(service: Served) -> None:
+    npz = io.BytesIO()
+    np.savez_compressed(npz, ranges=np.full((20_000, 1), 1.0), angles=np.zeros(1))
+    id_ = sent_scans(service, npz.getvalue(), "a.npz")
+    asked = {"map": "curved", "scans": id_, "index": ",".join(["0:"] * 100)}
+    answer = httpx.post(f"{service.address}/v1/localize", params=asked, timeout=60)
+    assert answer.status_code == 413
+    assert "at most 1,000 at once; index names some" in answer.json()["detail"]
+
+
+def test_marks_are_no_more_than_there_are_scans(service: Served) -> None:
+    id_ = sent_scans(service, json.dumps(SCAN).encode())
+    url = f"{service.address}/v1/scans/{id_}/marked"
+    assert httpx.post(url, json={"poses": [[0, 1, 2, 3]]}).status_code == 200
+    answer = httpx.post(url, content=b'{"poses": [' + b"[0,1,2,3]," * 10_000 + b"[0,1,2,3]]}")
+    assert answer.status_code == 413
+
+
+def test_scans_weigh_more_than_their_readings(service: Served) -> None:
+    npz = io.BytesIO()
+    np.savez_compressed(npz, ranges=np.full((150_000, 1), 1.0), angles=np.zeros(1))
+    ids = list[str]()
+    for _ in range(4):
+        ids.append(sent_scans(service, npz.getvalue(), "a.npz"))
+    kept = [httpx.get(f"{service.address}/v1/scans/{id_}?count=1").status_code for id_ in ids]
+    assert kept == [404, 404, 200, 200]  # 40 million numbers together
+    for id_ in ids[2:]:
+        httpx.delete(f"{service.address}/v1/scans/{id_}")
+
+
+# Memory.
+
+
+def memory(one: Served, key: str = "VmRSS") -> float:
+    """MiB that a service holds."""
+    status = Path(f"/proc/{one.process.pid}/status")
+    if not status.exists():
+        pytest.skip("needs Linux: a process that knows its memory")
+    return next(int(s.split()[1]) for s in status.read_text().splitlines() if key in s) / 1024
+
+
+def test_all_bodies_have_one_budget() -> None:
+    size = 16 << 20
+    with served(CURVED, "--memory-budget", "128M", "--max-body", "16M") as one:
+        head = f"POST /v1/scans?name=a.csv HTTP/1.1\r\nHost: 127.0.0.1:{one.port}\r\n"
+        before, sockets = memory(one), list[socket.socket]()
+        with contextlib.ExitStack() as stack:
+            for _ in range(8):
+                there = stack.enter_context(socket.create_connection(("127.0.0.1", one.port)))
+                with contextlib.suppress(OSError):  # those that are refused
+                    there.sendall(f"{head}Content-Length: {size}\r\n\r\n".encode())
+                    there.sendall(b"1" * (size - 1))
+                sockets.append(there)
+            assert healthy(one)
+            assert memory(one) - before < 32 + 2 * 16 + 16
+            there = sockets[-1]
+            there.settimeout(30)
+            assert there.recv(100).startswith(b"HTTP/1.1 503 ")
+        until = time.monotonic() + 30
+        while httpx.post(f"{one.address}/v1/scans", json=SCAN).status_code != 201:
+            assert time.monotonic() < until  # given back, for others
+
+
+def test_the_poses_of_an_atlas_are_counted_before_they_are_made() -> None:
+    with served(CURVED, "--memory-budget", "512M") as one:
+        map_, scans = sent_map(one, room(800, 800)), sent_scans(one, json.dumps(SCAN).encode())
+        before = memory(one, "VmHWM")
+        asked = {"map": map_, "scans": scans, "step": 0.05, "headings": 72}
+        answer = httpx.get(f"{one.address}/v1/layers/atlas", params=asked, timeout=60)
+        assert answer.status_code == 422
+        assert "use a larger step" in answer.json()["detail"]
+        assert memory(one, "VmHWM") - before < 50
+
+
+# Connections.
+
+
+def test_who_asks_and_never_reads_is_closed_and_shuts_nobody_out() -> None:
+    with served(CURVED, "--patience", 1) as one, contextlib.ExitStack() as stack:
+        ask = f"GET /page.css HTTP/1.1\r\nHost: 127.0.0.1:{one.port}\r\n\r\n" * 700
+        mute = list[socket.socket]()
+        for _ in range(100):
+            there = stack.enter_context(socket.socket())
+            there.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+            there.connect(("127.0.0.1", one.port))
+            there.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                there.send(ask.encode())
+            mute.append(there)
+        assert healthy(one)
+        until = time.monotonic() + 30
+        while descriptors(one) > 60:
+            assert time.monotonic() < until
+            time.sleep(0.1)
+
+
+def descriptors(one: Served) -> int:
+    folder = Path(f"/proc/{one.process.pid}/fd")
+    if not folder.exists():
+        pytest.skip("needs Linux: a process that knows its files")
+    return len(list(folder.iterdir()))
+
+
+def test_half_a_body_makes_room(service: Served) -> None:
+    head = f"POST /v1/localize HTTP/1.1\r\nHost: 127.0.0.1:{service.port}\r\n"
+    with contextlib.ExitStack() as stack:
+        for _ in range(100):
+            there = stack.enter_context(socket.create_connection(("127.0.0.1", service.port)))
+            there.sendall(f"{head}Content-Length: 1000\r\n\r\n{{".encode())
+        for _ in range(5):
+            assert healthy(service)
+        assert httpx.post(f"{service.address}/v1/localize", json=SCAN, timeout=60).is_success
+
+
+def test_a_burst_stays_within_the_bound(service: Served) -> None:
+    before = descriptors(service)
+    with contextlib.ExitStack() as stack:
+        for _ in range(500):
+            there = stack.enter_context(socket.socket())
+            there.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                there.connect(("127.0.0.1", service.port))
+        for _ in range(5):
+            assert healthy(service)
+            assert descriptors(service) <= before + Bounds().connections + 10
+
+
+def test_a_burst_beyond_all_descriptors_says_nothing_and_ends() -> None:
+    with subprocess.Popen(
+        ["bash", "-c", 'ulimit -n 64; exec "$@"', "bash", *command(["serve", "--port", 0, CURVED])],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        one = Served(process.stdout.readline().strip(), process)
+        with contextlib.ExitStack() as stack:
+            for _ in range(200):
+                there = stack.enter_context(socket.socket())
+                there.setblocking(False)
+                with contextlib.suppress(BlockingIOError):
+                    there.connect(("127.0.0.1", one.port))
+            time.sleep(1)
+            code, err = one.end()
+    assert (code, err) == (0, "")
+
+
+def test_a_silent_robot_makes_room_and_is_told() -> None:
+    with served(CURVED, "--patience", 0.5) as one, contextlib.ExitStack() as stack:
+        url = f"ws://127.0.0.1:{one.port}/v1/track"
+        silent = [stack.enter_context(connect(url)) for _ in range(16)]
+        time.sleep(1)
+        silent[0].send(LINE)
+        assert json.loads(silent[0].recv(60))["index"] == 0
+        with connect(url) as robot:
+            robot.send(LINE)
+            assert json.loads(robot.recv(60))["index"] == 0
+            told = json.loads(silent[1].recv(60))  # the one that was silent for longest
+            assert (told["status"], "no line for" in told["detail"]) == (408, True)
+            with pytest.raises(ConnectionClosed):
+                silent[1].recv(60)
+        silent[0].send(LINE)
+        assert json.loads(silent[0].recv(60))["index"] == 1
+
+
+def test_robots_that_speak_make_no_room(service: Served) -> None:
+    url = f"ws://127.0.0.1:{service.port}/v1/track"
+    with contextlib.ExitStack() as stack:
+        for _ in range(16):
+            stack.enter_context(connect(url))
+        with pytest.raises(Exception, match="503"):
+            connect(url)
+
+
+@pytest.mark.parametrize("state", ["idle", "body", "unread", "robot", "layer"])
+def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says(state: str) -> None:
+    """Standard error is a pipe that is full."""
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(write, b"x" * 4096)
+    os.set_blocking(write, True)
+    process = subprocess.Popen(
+        command(["serve", "--port", "0", CURVED]), stdout=subprocess.PIPE, stderr=write, text=True
+    )
+    try:
+        assert process.stdout is not None
+        one = Served(process.stdout.readline().strip(), process)
+        with contextlib.ExitStack() as stack:
+            there = stack.enter_context(socket.create_connection(("127.0.0.1", one.port)))
+            host = f"Host: 127.0.0.1:{one.port}\r\n"
+            if state == "body":
+                there.sendall(
+                    f"POST /v1/which HTTP/1.1\r\n{host}Content-Length: 9\r\n\r\n{{".encode()
+                )
+            elif state == "unread":
+                there.setblocking(False)
+                with contextlib.suppress(BlockingIOError):
+                    there.send(f"GET /page.css HTTP/1.1\r\n{host}\r\n".encode() * 2000)
+            elif state == "robot":
+                stack.enter_context(connect(f"ws://127.0.0.1:{one.port}/v1/track"))
+            elif state == "layer":
+                asked = f"scans={sent_scans(one, json.dumps(SCAN).encode())}&method=beam"
+                there.sendall(f"GET /v1/layers/likelihood?{asked} HTTP/1.1\r\n{host}\r\n".encode())
+            time.sleep(0.3)
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(30) == 0
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(read)
+        os.close(write)
+
+
+# What one sends is one's own.
+
+
+def test_two_clients_with_one_name_never_see_each_others_map() -> None:
+    """1,000 steps in random order: each is answered from the map that the client has sent."""
+    draw, maps = random.Random(5), [room(60, 50), room(50, 60, 9)]
+    scan = {"ranges": [1.0] * 12, "angle_min": -3.0, "angle_increment": 0.5}
+
+    async def run() -> None:
+        with Localizer({}) as core:
+            transport = httpx.ASGITransport(Service(core, bounds=Bounds(held=2)))
+            async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as ask:
+                how = {"name": "office", "resolution": "0.1"}
+
+                async def client(image: bytes, steps: int) -> None:
+                    about: dict[str, Any] | None = None
+                    version = ""
+                    for _ in range(steps):
+                        await asyncio.sleep(draw.random() / 1000)
+                        if about is None:
+                            sent = await ask.post("/v1/maps", params=how, content=image)
+                            assert sent.status_code == 201, sent.text
+                            about = sent.json()
+                            assert version in ("", about["version"])
+                            version = about["version"]
+                        elif draw.random() < 0.1:
+                            gone = await ask.delete(f"/v1/maps/{about['id']}")
+                            assert gone.status_code == 204
+                            about = None
+                        else:
+                            url = f"/v1/localize?map={about['id']}&method=cbml&theta_step_deg=30"
+                            row = (await ask.post(url, json=scan)).json()
+                            assert (row["map"], row["version"]) == (about["id"], version)
+
+                await asyncio.gather(*(client(image, 500) for image in maps))
+
+    asyncio.run(run())
+
+
+def test_a_map_that_goes_meanwhile_still_answers_who_has_asked() -> None:
+    """The body comes after the map was deleted: the map is looked for once."""
+
+    async def run() -> None:
+        with Localizer({}) as core:
+            service = Service(core)
+            transport = httpx.ASGITransport(service)
+            async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as ask:
+                how = {"name": "office", "resolution": "0.1"}
+                sent = await ask.post("/v1/maps", params=how, content=room(60, 50))
+                about = sent.json()
+
+                async def body() -> Any:
+                    gone = await ask.delete(f"/v1/maps/{about['id']}")
+                    assert gone.status_code == 204
+                    await ask.post("/v1/maps", params=how, content=room(50, 60, 9))
+                    yield json.dumps(SCAN).encode()
+
+                url = f"/v1/localize?map={about['id']}&near=3,3,0,3"
+                kind = {"Content-Type": "application/json"}
+                row = await ask.post(url, content=body(), headers=kind)
+                assert row.status_code == 200, row.text
+                assert row.json()["version"] == about["version"]
+
+    asyncio.run(run())
+
+
+# A scan is read back as it was sent.
+
+
+def test_the_row_of_a_scan_keeps_every_field() -> None:
+    scan = LaserScan(
+        [1.0, np.inf, np.nan, -np.inf], [-0.5, 0.0, 0.25, 0.5], range_min=0.1, range_max=9.0,
+        stamp=12.5, T_base_laser=Pose2D(0.1, -0.2, 3.0), time_increment=0.001,
+    )  # fmt: skip
+    row = scan_row(imgloc.ScanSet((scan,)), 0)
+    again = read_jsonl_line(json.dumps(row, allow_nan=False), "row")[0]
+    for name in vars(scan):
+        np.testing.assert_equal(getattr(again, name), getattr(scan, name), name)
