@@ -20,7 +20,6 @@ import numpy as np
 from imgloc.answers.diagnose import OLD, UNITS, Doubt, Given, doubts, few_readings, unit_of
 from imgloc.answers.scanmotion import AGREES, Agreement, Way, agreement, overlap, straightening
 from imgloc.answers.truth import NOT_TRUE, poses_fit
-from imgloc.equality import ByContent
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
@@ -70,7 +69,7 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class LogReport(ByContent):
+class LogReport:
     """What is in a log, and what is likely to be wrong with it."""
 
     facts: Mapping[str, Any]  #: plain values, by name; metres, seconds, degrees as names say

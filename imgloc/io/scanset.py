@@ -12,7 +12,7 @@ from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.odometry import velocities_at
-from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
+from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D, freeze
 
 _LOG = logging.getLogger("imgloc")
 MAX_READINGS = 50_000_000
@@ -75,11 +75,9 @@ class ScanSet(ByContent):
         n = len(self.scans)
         for key, shape in (("poses", (n, 3)), ("stamps", (n,)), ("odom", (n, 3))):
             if getattr(self, key) is not None:
-                array = np.array(getattr(self, key), dtype=np.float64)
-                if array.shape != shape:
-                    raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
-                array.flags.writeable = False
-                object.__setattr__(self, key, array)
+                freeze(self, np.float64, key)
+                if (got := getattr(self, key).shape) != shape:
+                    raise ValueError(f"{key} {got} must be {shape}: one per scan")
 
     def __len__(self) -> int:
         return len(self.scans)
