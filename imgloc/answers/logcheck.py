@@ -28,7 +28,6 @@ from imgloc.answers.scanmotion import (
     straightening,
 )
 from imgloc.answers.truth import NOT_TRUE, poses_fit
-from imgloc.equality import ByContent
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
@@ -80,7 +79,7 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class LogReport(ByContent):
+class LogReport:
     """What is in a log, and what is likely to be wrong with it."""
 
     facts: Mapping[str, Any]  #: plain values, by name; metres, seconds, degrees as names say

@@ -13,7 +13,15 @@ import numpy as np
 from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
-from imgloc.model import LONGEST_SWEEP, MOST_TURNED, FloatArray, LaserScan, Pose2D, wrapped_pose
+from imgloc.model import (
+    LONGEST_SWEEP,
+    MOST_TURNED,
+    FloatArray,
+    LaserScan,
+    Pose2D,
+    freeze,
+    wrapped_pose,
+)
 from imgloc.options import Logs
 from imgloc.robot.odometry import velocities_at
 from imgloc.robot.recording import Recording
@@ -79,14 +87,15 @@ class ScanSet(ByContent):
         n = len(self.scans)
         for key, shape in (("poses", (n, 3)), ("stamps", (n,)), ("odom", (n, 3))):
             if getattr(self, key) is not None:
-                array = np.array(getattr(self, key), dtype=np.float64)
+                freeze(self, np.float64, key)
+                array = getattr(self, key)
                 if array.shape != shape:
                     raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
-                if len(shape) == 2:  # a heading may have been counted on
-                    far = np.abs(array[:, 2]) > MOST_TURNED
+                if len(shape) == 2 and (far := np.abs(array[:, 2]) > MOST_TURNED).any():
+                    array = array.copy()  # a heading was counted on
                     array[far, 2] = np.remainder(array[far, 2] + np.pi, math.tau) - np.pi
-                array.flags.writeable = False
-                object.__setattr__(self, key, array)
+                    array.flags.writeable = False
+                    object.__setattr__(self, key, array)
 
     def __len__(self) -> int:
         return len(self.scans)

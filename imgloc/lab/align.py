@@ -27,7 +27,6 @@ import numpy.typing as npt
 from scipy import fft
 from scipy.spatial.distance import cdist
 
-from imgloc.equality import ByContent
 from imgloc.errors import MapError, expect
 from imgloc.features.distance import DistanceField, distance_field
 from imgloc.features.surface import surface_points
@@ -473,7 +472,7 @@ def agreement(a: Side, b: Side, bend: Bend) -> Agreement:
 
 
 @dataclass(frozen=True, eq=False)
-class ScanAlignment(ByContent):
+class ScanAlignment:
     """The transform between two maps that scans, located in both, agree on."""
 
     pose: Pose2D | None  #: of the frame of `b` in that of `a`; None if too few scans agree
@@ -606,7 +605,7 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment(ByContent):
+class Alignment:
     """Where a map `b` lies in the frame of a map `a`, and how far to trust it.
 
     A point p of `b`, map frame, is at ``pose ⊕ scale * p`` in the map frame of `a`.

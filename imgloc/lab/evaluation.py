@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
@@ -96,7 +95,7 @@ def share(happened: Iterable[bool]) -> Share:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial(ByContent):
+class Trial:
     """Measurements of one scan; densities are relative ones, ``p V``, at the true pose."""
 
     free: float  #: density over free cells by the stack without calibration, as in the paper
