@@ -23,11 +23,8 @@ class Bounds(Checked):
     waiting: Annotated[int, Within(1, 10_000, "")] = option(
         16, "Requests that may wait for an answer; more are refused."
     )
-    body: Bytes = option(
-        64 * MIB,
-        "Largest body of a request, such as 512K or 2M. [default: 64M]",
-        "--max-body",
-        parse=byte_count,
+    max_body: Bytes = option(
+        64 * MIB, "Largest body of a request, such as 512K or 2M. [default: 64M]", parse=byte_count
     )
     pixels: Count = 25_000_000  #: of an uploaded map
     numbers: Count = 20_000_000  #: ranges, angles and more of an uploaded file of scans

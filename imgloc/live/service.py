@@ -173,7 +173,7 @@ class Service:
         self.robots = Robots(core, self.bounds, self.lanes["looks"], self._count)
         budget = core.options.memory_budget or 1 << 30
         self._part = budget // 4  # of the memory: for maps that are held twice as much
-        self.bodies = Bodies(max(self._part, self.bounds.body))
+        self.bodies = Bodies(max(self._part, self.bounds.max_body))
         self._maps: Held[str] = Held(self.bounds.held, 2 * self._part, "map", self.robots.within)
         self._scans: Held[ScansHeld] = Held(self.bounds.held, 2 * self.bounds.numbers, "scans")
         self._own = core.names  # those that the service begins with
@@ -396,11 +396,11 @@ class Service:
         names, b, opened = self._names, self.bounds, self.given.opened
         ready = [(one, self.core.site(one)) for one in names if self.core.state(one) == "ready"]
         preparing = [name for name in names if self.core.state(name) == "preparing"]
-        keys = ("body", "pixels", "scans", "numbers", "each", "message", "seconds")
+        keys = ("max_body", "pixels", "scans", "numbers", "each", "message", "seconds")
         described = await ask.run(lambda: [self._describe(*one) for one in ready])
         about = None if opened is None else opened.about(OPENED)
         return JSONResponse({"maps": described, "preparing": preparing,
-                             "limits": {key: getattr(b, key) for key in keys},
+                             "limits": {key.removeprefix("max_"): getattr(b, key) for key in keys},
                              "opened": about})  # fmt: skip
 
     async def _map(self, ask: Ask) -> Response:
@@ -463,7 +463,7 @@ class Service:
     async def _body(self, ask: Ask, limit: int | None = None) -> tuple[bytes, str]:
         """The body, and its media type."""
         body = await read_body(
-            ask.request.scope, ask.request.receive, limit=limit or self.bounds.body,
+            ask.request.scope, ask.request.receive, limit=limit or self.bounds.max_body,
             seconds=self.bounds.patience, stopping=self.stopping, bodies=self.bodies,
         )  # fmt: skip
         return body, ask.request.headers.get("content-type", "")
