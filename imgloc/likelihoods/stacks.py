@@ -76,6 +76,17 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     return Likelihood(values, thetas, lattice, method, scan)
 
 
+def held_stack(
+    stack: "Likelihood | Stack | None", features: MapFeatures, scan: LaserScan, options: Options
+) -> Likelihood | None:
+    """The stack that is given, or that a function of the user makes; ConfigError as the next."""
+    if stack is None:
+        return None
+    made = stack(features, scan) if callable(stack) else stack
+    check_stack(made, features, scan, options)
+    return made
+
+
 def check_stack(
     stack: Likelihood, features: MapFeatures, scan: LaserScan, options: Options
 ) -> None:
