@@ -25,10 +25,10 @@ from imgloc.features.floor import floors, left_out
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.io.maps import require_usable
-from imgloc.likelihoods.stacks import Stack, likelihood, made_stack
+from imgloc.likelihoods.stacks import Stack, held_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import FUSED, METHODS, FusedOptions, Options, Shared
+from imgloc.options import FUSED, FusedOptions, Options, Shared
 from imgloc.search.adapt import THINNER, adapt, drawn_gain, drawn_walls
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
@@ -98,8 +98,8 @@ def localize(
     options : Options, optional
         Method, prior and limits of the search. By default the whole map is searched.
     stack : Likelihood or Stack, optional
-        Stack of this method, map and scan from :func:`likelihood`, or of a method of your own, or
-        a function that makes it: see :class:`~imgloc.likelihoods.stacks.Stack`.
+        Stack of this method, map and scan from :func:`likelihood`, to save computing it again; or
+        one of your own, or what makes it: see :class:`~imgloc.likelihoods.stacks.Stack`.
 
     Returns
     -------
@@ -119,9 +119,7 @@ def localize(
     options = Options() if options is None else options
     check_options(features, options)
     expect(scan, LaserScan, "scan")
-    if stack is not None:
-        stack = made_stack(stack, features, scan, options)
-    return _located(features, scan, options, stack)
+    return _located(features, scan, options, held_stack(stack, features, scan, options))
 
 
 def localize_many(
@@ -168,12 +166,10 @@ def _located(
     start = time.perf_counter()
     if scan.directions < max(1, options.trust.readings):
         weighed = nothing(options)
-    elif stack is not None and stack.method not in METHODS:
-        weighed = weigh_stack(features, scan, stack, options)
-    elif options.method == FUSED:
+    elif options.method == FUSED and stack is None:
         found = find_adapted_modes(features, scan, options)
         weighed = weigh(features, found, options, scan)
-    elif options.exact:
+    elif options.exact and stack is None:
         weighed = weigh_exact(features, scan, options)
     else:
         stack = likelihood(features, scan, options) if stack is None else stack

@@ -19,7 +19,7 @@ from places import room_with_a_post
 
 from imgloc.io import contents
 from imgloc.io.maps import save_map
-from imgloc.io.mapyaml import MapYaml, load_map_yaml
+from imgloc.io.mapyaml import image_named
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.options import Sensor
@@ -323,11 +323,11 @@ def test_each_map_is_read_once_to_know_that_it_is_done(
     contents._image_of.cache_clear()
     asked = []
 
-    def counted(path: Path) -> MapYaml:
+    def counted(path: Path) -> Path:
         asked.append(path)
-        return load_map_yaml(path)
+        return image_named(path)
 
-    monkeypatch.setattr(contents, "load_map_yaml", counted)
+    monkeypatch.setattr(contents, "image_named", counted)
     start = time.process_time()
     run = call(*words, "--resume")
     assert "; 101 are done" in run.err

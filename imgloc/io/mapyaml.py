@@ -90,7 +90,7 @@ def image_named(path: PathLike) -> Path:
 def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYaml:
     r"""Parse the text of a map's YAML; `path` names it and anchors the image's path.
 
-    Keys that are `given` elsewhere are not read: their values may be whatever they are.
+    The values of keys that are `given` elsewhere may be wrong: then nothing is said of them.
 
     MapError names the file, the key, the value, and what was expected; or what is not plain, see
     :func:`~imgloc.io.plainyaml.plain_yaml`.
@@ -106,12 +106,10 @@ def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYa
     values = _plain_mapping(data, name)
     said: dict[str, Any] = {key: values.get(key) for key in _KEYS}
     for key, convert, expected in _CHECKS:
-        if key in given:
-            said[key] = None
         if said[key] is None and key != "image":
             continue
         said[key] = convert(said[key])
-        if said[key] is None:
+        if said[key] is None and key not in given:
             if key not in values:
                 raise MapError(f"{name}: {key}: missing, expected {expected}")
             shown = repr(values[key])

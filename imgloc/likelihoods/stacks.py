@@ -85,14 +85,21 @@ def likelihood(
     return Likelihood(values, thetas, lattice, method, scan)
 
 
-def made_stack(
-    stack: Likelihood | Stack, features: MapFeatures, scan: LaserScan, options: Options
-) -> Likelihood:
-    """Return a stack, made if it is a function; ConfigError if it is of another known method.
+def held_stack(
+    stack: "Likelihood | Stack | None", features: MapFeatures, scan: LaserScan, options: Options
+) -> Likelihood | None:
+    """The stack that is given, or that a function of the user makes; ConfigError as the next."""
+    if stack is None:
+        return None
+    made = stack(features, scan) if callable(stack) else stack
+    check_stack(made, features, scan, options)
+    return made
 
-    ConfigError also if it is of another map or scan.
-    """
-    stack = stack(features, scan) if callable(stack) else stack
+
+def check_stack(
+    stack: Likelihood, features: MapFeatures, scan: LaserScan, options: Options
+) -> None:
+    """Raise a ConfigError if a stack is of another known method, or of another map or scan."""
     expect(stack, Likelihood, "stack")
     if stack.method in METHODS and stack.method != options.method:
         raise ConfigError(f"stack: got one of {stack.method}, expected one of {options.method}")
@@ -101,7 +108,6 @@ def made_stack(
         raise ConfigError(f"stack: got rows, columns, cell {of}, expected {here}: of another map?")
     if stack.scan is not None and stack.scan.digest != scan.digest:
         raise ConfigError(f"stack: got one of another scan, {stack.scan!r}, expected {scan!r}")
-    return stack
 
 
 def check_method(name: str, known: Sequence[str]) -> None:
