@@ -162,7 +162,8 @@ class MapFeatures:
             if cells not in self.peeled:
                 from skimage.morphology import thin  # half of all that imgloc would import
 
-                self.peeled[cells] = np.packbits(thin(before.grid.occupied, max_num_iter=1))
+                walls = before.grid.occupied.copy()  # scikit-image 0.24 writes to what it is given
+                self.peeled[cells] = np.packbits(thin(walls, max_num_iter=1))
             bits = np.unpackbits(self.peeled[cells], count=occupied.size)
             walls = bits.reshape(occupied.shape).view(np.bool_)
             if np.array_equal(walls, before.grid.occupied):  # they are lines by now
