@@ -18,7 +18,7 @@ import numpy as np
 
 from imgloc.features.scanpoints import evenly, scan_points
 from imgloc.filters.evidence import usable, view_of
-from imgloc.filters.motion import compose_poses, invert_poses, way_of
+from imgloc.filters.motion import MotionNoise, compose_poses, invert_poses, way_of
 from imgloc.geometry import rotate_covariance, rotation, transform_points, wrap
 from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, Pose2D
@@ -33,16 +33,14 @@ from imgloc.search.refine import block_sums
 _SPEED, _TURN, _FORGOTTEN = number("scanodometry.speed")
 # A new reference is taken after such a way, or if no more than this share of a scan agrees with it.
 _FAR, _TURNED, _KEPT = number("scanodometry.reference")
-_WIDTHS = number("scanodometry.widths")  # of the robust kernel, metres
-_STEPS = 3  # for each width
-# Nats that a reading loses at most if it does not agree, and the share of them that it loses where
-# the reference saw nothing; least shares of a scan that agree, and that the reference could see.
-_PRICE, _UNSEEN, _FIT, _SEEN = number("scanodometry.fit")
-# Cells along an image, along a cell of its search, readings and deviations that are searched, poses
-# that are compared, and those of them that are refined.
-_SIDE, _COARSE, _RAYS, _DEVIATIONS, _PLACES, _ALIKE = number("scanodometry.search")
-_REACH = 3  # in medians of the ranges: readings beyond are left out
-_MARGIN = 1.25  # of an image, in reaches
+_WIDTHS = number("scanodometry.widths")  # of the robust kernel, metres: one for each step
+# Nats that a reading loses at most if it does not agree, nats that roughness gains by chance, share
+# that a reading loses where the reference saw nothing; least shares of a scan that agree, and that
+# the reference could see.
+_PRICE, _ROUGH, _UNSEEN, _FIT, _SEEN = number("scanodometry.fit")
+# Medians of the ranges beyond which readings are left out; cells along an image, and along a cell
+# of its search; readings and deviations that are searched; poses that are compared, and refined.
+_REACH, _SIDE, _COARSE, _RAYS, _DEVIATIONS, _PLACES, _ALIKE = number("scanodometry.search")
 
 
 @dataclass(frozen=True)
@@ -72,8 +70,8 @@ class ScanOdometry:
     ...     walls = 1.5 / np.maximum(np.abs(np.sin(angles)), 1e-9)
     ...     end = (4 - x) / np.maximum(np.cos(angles), 1e-9)
     ...     motion = robot.step(LaserScan(np.minimum(walls, end), angles, range_max=20.0))
-    >>> robot.pose.round(3).tolist(), motion.lost
-    ([0.1, 0.0, 0.0], False)
+    >>> round(float(robot.pose[0]), 3), motion.lost
+    (0.1, False)
     """
 
     def __init__(self, options: Options | None = None) -> None:
@@ -87,40 +85,42 @@ class ScanOdometry:
         # velocity, and of the velocity.
         self._velocity, self._P, self._C = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         self._V = self._usual
+        metres, radians = MotionNoise().floor
+        self._least = np.diag(np.square([metres, metres, radians]))
 
     def step(self, scan: LaserScan) -> Motion:
         """Take the next scan; those without stamps count as a second apart."""
         seconds, known, before = self._since(scan.stamp), self._P, self.pose
         self._predict(seconds)
-        seen, overlap, lost = usable(scan, self._options), math.nan, False
+        seen, overlap = usable(scan, self._options), math.nan
+        lost = anew = False
         if seen is not None:
             name = getattr(scan, "laser", "")
-            reference = self._references.get(name)
-            anew = reference is None
-            if reference is not None:
+            reference, anew = self._references.get(name), True
+            # A reference is of no use if other lasers know better by now where the robot is.
+            if reference is not None and np.trace(self._P) >= np.trace(reference.covariance):
                 overlap, lost = self._match(reference, self._points(seen, reference.reach))
-                reference.missed = reference.missed + 1 if lost else 0
                 gone = way_of(compose_poses(invert_poses(reference.pose), self.pose))
-                anew = lost or overlap < _KEPT or bool((gone > (_FAR, _TURNED)).any())
-                anew &= reference.missed != 1  # somebody may just stand in the way
-            if lost:
-                self._P, self._C, self._V = self._P + self._usual, 0 * self._C, self._usual
+                anew = overlap < _KEPT or bool((gone > (_FAR, _TURNED)).any())
+                if lost:  # for the first time, somebody may just stand in the way
+                    anew, reference.missed = reference.missed, True
+            if lost and anew:
+                self._P, self._V = self._P + self._usual, self._usual
             if anew:
                 self._references[name] = _Reference(seen, self.pose, self._P)
                 self._C = np.zeros((3, 3))
         if seen is None or lost:
             self._velocity = self._velocity * math.exp(-seconds / _FORGOTTEN)
         step = compose_poses(invert_poses(before), self.pose)
-        return Motion(
-            step, rotate_covariance(_positive(self._P - known), -before[2]), overlap, lost
-        )
+        grown = self._P - known + (self._usual if lost and not anew else 0)
+        return Motion(step, rotate_covariance(_positive(grown), -before[2]), overlap, lost)
 
     def _since(self, stamp: float) -> float:
-        """Seconds since the last scan."""
+        """Seconds since the last scan; after a minute the robot may be anywhere."""
         seconds, self._stamp = stamp - self._stamp, stamp
         if not self._references:
             return 0.0
-        return 1.0 if math.isnan(seconds) else max(0.0, seconds)
+        return 1.0 if math.isnan(seconds) else min(max(0.0, seconds), 60.0)
 
     def _points(self, scan: LaserScan, reach: float) -> FloatArray:
         """Readings (N, 2) of a scan within a reach, in the robot's frame."""
@@ -145,7 +145,9 @@ class ScanOdometry:
 
         If it is, nothing changes.
         """
-        prior = self._P - reference.covariance + 1e-9 * np.eye(3)
+        prior = _positive(self._P - reference.covariance) + self._least
+        # No less than what the velocity leaves open, if another laser was seen in between.
+        prior = prior + _positive(self._C @ np.linalg.solve(self._V, self._C.T) - prior)
         pose, covariance, fit, seen = reference.lay(xy, self.pose, prior)
         if fit < _FIT or seen < _SEEN:
             return fit * seen, True
@@ -153,6 +155,7 @@ class ScanOdometry:
         self._velocity = self._velocity + gain @ (pose - self.pose)
         self._V = self._V - gain @ (prior - covariance) @ gain.T
         self._P, self._C = reference.covariance + covariance, covariance @ gain.T
+        reference.missed = False
         self.pose = np.append(pose[:2], wrap(pose[2]))
         return fit * seen, False
 
@@ -161,7 +164,7 @@ class _Reference:
     """A scan as an image, in a frame parallel to that of the robot's poses."""
 
     def __init__(self, scan: LaserScan, pose: FloatArray, covariance: FloatArray) -> None:
-        self.pose, self.covariance, self.missed = pose, covariance, 0
+        self.pose, self.covariance, self.missed = pose, covariance, False
         self.reach = _REACH * float(np.median(scan.ranges[scan.valid]))
         order = np.argsort(wrap(scan.angles), kind="stable")
         near = scan.valid & (scan.ranges < self.reach)
@@ -172,7 +175,7 @@ class _Reference:
         self._xy = transform_points(Pose2D(*at), points.xy)
         normal = np.column_stack((np.cos(points.alpha + at[2]), np.sin(points.alpha + at[2])))
         self._normal = np.where(points.valid[:, None], normal, 0.0)
-        self._cell = 2 * _MARGIN * self.reach / _SIDE
+        self._cell = 2.5 * self.reach / _SIDE  # with a margin for the motion
         cells = self._cells(self._xy)
         image = np.full((_SIDE, _SIDE), 255, np.uint8)
         image[cells[:, 1], cells[:, 0]] = 0
@@ -201,7 +204,7 @@ class _Reference:
         """
         if not len(xy):
             return mean, prior, 0.0, 0.0
-        information = np.linalg.inv(prior)
+        information: FloatArray = np.asarray(np.linalg.inv(prior), np.float64)
         starts, vague = mean[None], np.diag(prior).max() > (_WIDTHS[0] / 2) ** 2
         for searched in (vague, True):
             if searched:
@@ -211,6 +214,7 @@ class _Reference:
             if searched or fit[0] * seen[0] >= _KEPT:
                 break
         nats = nats + _quadratic(poses - mean, information)
+        nats[1:] += _ROUGH  # or any roughness of a corridor would be a reason to jump
         best = int(np.argmin(nats))
         # Places that fit about as well make the best one uncertain.
         share = np.exp(nats[best] - nats)
@@ -222,7 +226,7 @@ class _Reference:
     def _cells(self, xy: FloatArray) -> IntArray:
         """Columns and rows (..., 2) of points, those beyond the image at its border."""
         cells = np.floor((xy - self._origin) / self._cell).astype(np.int64) + _SIDE // 2
-        return cells.clip(0, _SIDE - 1)
+        return np.asarray(cells.clip(0, _SIDE - 1))
 
     def _residuals(
         self, poses: FloatArray, xy: FloatArray
@@ -252,9 +256,9 @@ class _Reference:
         self, poses: FloatArray, mean: FloatArray, information: FloatArray, xy: FloatArray
     ) -> FloatArray:
         """Move poses (C, 3) to where the readings end on the lines, by a shrinking kernel."""
-        for width in np.repeat(_WIDTHS, _STEPS):
+        for width in _WIDTHS:
             J, residual, counts, _ = self._residuals(poses, xy)
-            (A,), (b,), _ = block_sums(J, residual, counts, width)
+            (A,), (b,), _ = block_sums(J, residual, 1.0 * counts, width)
             nats = 2 * _PRICE / width**2
             A, b = nats * A + information, nats * b + (poses - mean) @ information
             poses = poses - np.clip(np.linalg.solve(A, b[..., None])[..., 0], -width, width)
@@ -286,7 +290,7 @@ class _Reference:
         own = second[a == b]
         out = np.empty((3, 3))
         out[a, b] = out[b, a] = np.where(a == b, second, (second - own[a] - own[b]) / 2)
-        return _positive(out / np.outer(h, h))
+        return _positive(out - _ROUGH * np.eye(3)) / np.outer(h, h)
 
     def _search(self, xy: FloatArray, mean: FloatArray, information: FloatArray) -> FloatArray:
         """Poses (C, 3) near a prediction where readings meet the image best."""
@@ -310,7 +314,7 @@ class _Reference:
         nats = -_PRICE * count / (255.0 * len(xy)) * sums + _quadratic(away, information)
         best = np.argsort(nats, kind="stable")[:_PLACES]
         picked, _ = separated(mean + away[best], _ALIKE, distance=2 * cell, angle=3 * h[2])
-        return mean + away[best[picked]]
+        return np.asarray(mean + away[best[picked]])
 
 
 def _quadratic(away: FloatArray, information: FloatArray) -> FloatArray:
