@@ -24,8 +24,11 @@ class Live:
         self,
         source: "Iterator[tuple[float, ScanSet]]",
         prepared: "Callable[[LaserScan], LaserScan]",
+        *,
+        by_scans: bool = False,
     ) -> None:
         self._source, self._prepared, self._begin = source, prepared, 0.0
+        self._by_scans = by_scans  # whether the scans alone are to tell the motion
         self._seconds: list[float] = []  # from line in to line out, of each scan
         self._scan: LaserScan | None = None
         self._truth: list[tuple[float, float, float]] = []  # known poses of the robot
@@ -36,7 +39,7 @@ class Live:
         for begin, one in self._source:
             self._begin = begin
             scan, odom = self._prepared(one.scans[0]), None
-            if one.odom is not None:
+            if one.odom is not None and not self._by_scans:
                 odom = one.odom[0]
                 if (truth := robot_poses(replace(one, scans=(scan,)))) is not None:
                     self._truth.append(tuple(truth[0]))
@@ -78,6 +81,7 @@ def live_of(
     """
     from imgloc.cli import inputs
     from imgloc.io import stream
+    from imgloc.robot.recording import SCANS
 
     if follow:
         if str(log) == "-" or stream.is_pipe(log):
@@ -92,7 +96,7 @@ def live_of(
 
     name = inputs.name_of(log)
     read = stream.scans_of(lines, name, topic=logs.topic, fov=logs.fov, max_bad=logs.max_bad)
-    return Live(read, prepared)
+    return Live(read, prepared, by_scans=logs.odom == SCANS)
 
 
 def _growing(log: Path) -> Iterator[bytes]:

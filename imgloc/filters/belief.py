@@ -53,8 +53,11 @@ class Filter(Protocol):
     options: Options  #: options of the search, with the scale of the scans as estimated so far
     unsure: str  #: why no pose is ever ``unique`` on this map; empty if one may be
 
-    def move(self, increment: FloatArray) -> None:
-        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
+    def move(self, increment: FloatArray, covariance: FloatArray | None = None) -> None:
+        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians.
+
+        `covariance` (3, 3) is that of the motion, by default that of a robot's odometry.
+        """
 
     def see(self, scan: LaserScan) -> None:
         """Weigh the whole belief by a scan."""

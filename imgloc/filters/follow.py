@@ -14,6 +14,7 @@ from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
 from imgloc.filters.repeats import Repeats, dragged, frozen, smooth, stands
+from imgloc.filters.scanodometry import ScanOdometry
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
@@ -130,8 +131,9 @@ def follow(
         Scans in the order of time; a ScanSet in which few scans are out of it is sorted, with a
         warning. `laser` of each scan tells several lasers apart. An iterable yields each
         scan, with its stamp, and the odometry's pose at that time: metres, metres, radians.
-        The next scan is taken from it after the moment of the last one has been used. Scans
-        without odometry are left out.
+        The next scan is taken from it after the moment of the last one has been used. Where a log
+        has no odometry, or none that moves, the scans alone tell the motion; else scans without
+        odometry are left out.
     filter_ : Filter
         A filter made for the same features. It is changed.
     every : Every, optional
@@ -156,8 +158,8 @@ def follow(
     Raises
     ------
     ScanError
-        If there is no odometry, it is in millimetres, or stamps run backwards. A ScanSet is checked
-        before its first moment.
+        If the odometry is in millimetres, or stamps run backwards. A ScanSet is checked before its
+        first moment.
     ConfigError
         If `start` or `kidnap` is outside of the map, or `kidnap` outside of the log's time.
 
@@ -189,16 +191,26 @@ def follow(
         yield replace(follower.step(scan, odom, stamp, carried), index=index)
 
 
-_Steps = Iterator[tuple[int, LaserScan, FloatArray, float]]  # index, scan, odometry, stamp
+# Index, scan, odometry, stamp.
+_Steps = Iterator[tuple[int, LaserScan, FloatArray | None, float]]
+BY_SCANS = "it has no odometry that moves, so the scans alone tell the motion"
 
 
 def _coming(scans: Iterable[Reading], name: str) -> _Steps:
-    """Yield scans with odometry, and their index, as they come; at the end log how many lack it."""
-    left, index = 0, -1
-    for index, (scan, odom) in enumerate(scans):
-        if odom is None or not np.isfinite(odom).all():
+    """Yield scans, with odometry and their index, as they come.
+
+    As long as none has had odometry, the scans alone tell the motion; later ones that lack it are
+    left out. At the end log how many.
+    """
+    left, index, by_scans = 0, -1, True
+    for index, (scan, given) in enumerate(scans):
+        odom = None if given is None or not np.isfinite(given).all() else given
+        by_scans &= odom is None
+        if odom is None and not by_scans:
             left += 1
         else:
+            if index == 0 and odom is None:
+                LOG.warning("%s: %s", name, BY_SCANS)
             yield index, scan, odom, scan.stamp
     if left:
         LOG.warning("%s: %d of %d scans have no odometry and were left out", name, left, index + 1)
@@ -206,8 +218,14 @@ def _coming(scans: Iterable[Reading], name: str) -> _Steps:
 
 def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: str) -> _Steps:
     """Yield scans with odometry, each with its index, after a check of the whole log."""
-    known, indices = scans.with_odometry(name)
-    odom = np.empty((0, 3)) if known.odom is None else known.odom
+    by_scans = not moves(scans)
+    if by_scans:
+        LOG.warning("%s: %s", name, BY_SCANS)
+        known, indices = scans, list(range(len(scans)))
+        odom = np.zeros((len(scans), 3))
+    else:
+        known, indices = scans.with_odometry(name)
+        odom = np.empty((0, 3)) if known.odom is None else known.odom
     stamps = np.full(len(known), np.nan) if known.stamps is None else known.stamps
     if (far := np.flatnonzero(np.abs(stamps) > _LATEST)).size:
         _check_order(name, indices[far[0]], np.nan, float(stamps[far[0]]))
@@ -229,7 +247,15 @@ def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: s
     _check_speed(name, way, seconds)
     if kidnap is not None:
         _check_kidnap(kidnap, features, stamps)
-    return zip(indices, known.scans, odom, stamps.tolist(), strict=True)
+    poses = [None] * len(known) if by_scans else list(odom)
+    return zip(indices, known.scans, poses, stamps.tolist(), strict=True)
+
+
+def moves(scans: ScanSet) -> bool:
+    """Whether a log has odometry, and that ever moves."""
+    if scans.odom is None or not (known := np.isfinite(scans.odom).all(axis=1)).any():
+        return False
+    return len(scans) < 2 or bool(np.ptp(scans.odom[known], axis=0).any())
 
 
 class Follower:
@@ -274,6 +300,7 @@ class Follower:
         self._repeats = defaultdict[str, Repeats](Repeats)
         self._held = TrackerOptions().mass[0]  # from which one place is no longer one of several
         self._count, self._blind, self._metres = 0, 0, 0.0
+        self._scans = ScanOdometry(filter_.options)
         self._here, self._stands = np.zeros(3), True  # by odometry, since the first scan
         self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
         self._odom: FloatArray | None = None
@@ -302,7 +329,7 @@ class Follower:
     ) -> Moment:
         """Take a scan and the odometry's pose (3,) at its stamp: metres, metres, radians.
 
-        `stamp` is in seconds, by default the scan's own.
+        Without odometry the scans alone tell the motion. `stamp` is in seconds, by default the scan's own.
 
         Raises
         ------
@@ -311,31 +338,35 @@ class Follower:
             by more than 1,000 km. Nothing changes then.
         """
         k = self._count
-        odom = np.zeros(3) if odom is None else np.array(odom, dtype=np.float64)
-        if odom.shape != (3,) or not np.isfinite(odom).all():
-            got = odom.tolist()
-            raise ScanError(f"{self.name}: odom[{k}]: got {got}, expected finite x, y and theta")
+        if odom is not None:
+            odom = np.array(odom, dtype=np.float64)
+            if odom.shape != (3,) or not np.isfinite(odom).all():
+                said = f"odom[{k}]: got {odom.tolist()}, expected finite x, y and theta"
+                raise ScanError(f"{self.name}: {said}")
         stamp = scan.stamp if stamp is None else stamp
-        step = np.zeros(3)
-        _check_order(self.name, k, np.nan if self._odom is None else self._stamp, stamp)
-        if self._odom is None:
+        step, covariance = np.zeros(3), None
+        _check_order(self.name, k, np.nan if k == 0 else self._stamp, stamp)
+        if k == 0:
             self._said = self._stamp = stamp
-        else:
+        elif odom is not None and self._odom is not None:
             with np.errstate(over="ignore", invalid="ignore"):
                 step = increments(np.stack((self._odom, odom)))[0]
             _check_way(self.name, k, float(np.hypot(*step[:2])))
+        if odom is None or (k > 0 and self._odom is None):
+            motion = self._scans.step(replace(scan, stamp=stamp))
+            step, covariance = motion.increment, motion.covariance
         waited = float(np.nan_to_num(stamp - self._stamp))
         self._count, self._odom, self._stamp = k + 1, odom, stamp
         laser, repeats = self._lasers.of(scan), self._repeats[scan.laser]
-        self._move(step)
+        self._move(step, covariance)
         if kidnap is not None:
             self.place(kidnap.pose, kidnap.deviation, "kidnap")
         looked = self._take(scan, laser, repeats.since(scan), waited)
         repeats.believe(self.filter.belief)
         return self._moment(k, looked)
 
-    def _move(self, step: FloatArray) -> None:
-        self.filter.move(step)
+    def _move(self, step: FloatArray, covariance: FloatArray | None) -> None:
+        self.filter.move(step, covariance)
         moved = way_of(step)
         self._lasers.move(moved)
         for repeats in self._repeats.values():
@@ -384,7 +415,8 @@ class Follower:
             pose = transform_poses(grid.origin, belief.poses[:1])[0]
             best = Pose2D(*pose)
             covariance = rotate_covariance(belief.covariance[0], grid.origin.theta)
-            map_odom = Pose2D(*compose_poses(pose, invert_poses(np.asarray(self._odom))))
+            if self._odom is not None:
+                map_odom = Pose2D(*compose_poses(pose, invert_poses(self._odom)))
             deviation = deviations_of(covariance)
         if self._blind >= len(self._lasers):  # else another laser has just seen something
             withheld = BLIND

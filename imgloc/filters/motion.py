@@ -131,14 +131,19 @@ def sample_motion(
 
 
 def move_gaussians(
-    poses: FloatArray, covariance: FloatArray, increment: FloatArray, noise: MotionNoise
-) -> tuple[FloatArray, FloatArray]:
-    """Means (M, 3) and covariances (M, 3, 3) of Gaussians after a motion (3,), to first order."""
+    poses: FloatArray, covariance: FloatArray, increment: FloatArray, noise: MotionNoise,
+    own: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Means (M, 3) and covariances (M, 3, 3) of Gaussians after a motion (3,), to first order.
+
+    `own` (3, 3) is the covariance of the motion in the earlier frame, by default that of `noise`.
+    """
     first, go, _ = turn_go_turn(increment)
     c, s = np.cos(first), np.sin(first)
     G = np.array([[-go * s, c, 0.0], [go * c, s, 0.0], [1.0, 0.0, 1.0]])
-    own = G @ np.diag(deviations(increment, noise) ** 2) @ G.T
-    own[[0, 1], [0, 1]] += noise.floor[0] ** 2 * bool(np.any(increment != 0))  # sideways slip
+    if own is None:
+        own = G @ np.diag(deviations(increment, noise) ** 2) @ G.T
+        own[[0, 1], [0, 1]] += noise.floor[0] ** 2 * bool(np.any(increment != 0))  # sideways slip
     moved = compose_poses(poses, increment)
     F, R = np.tile(np.eye(3), (2, len(poses), 1, 1))
     F[:, 0, 2], F[:, 1, 2] = -(moved[:, 1] - poses[:, 1]), moved[:, 0] - poses[:, 0]

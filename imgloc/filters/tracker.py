@@ -255,15 +255,19 @@ class Tracker:
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._lasers.place()
 
-    def move(self, increment: FloatArray) -> None:
-        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
+    def move(self, increment: FloatArray, covariance: FloatArray | None = None) -> None:
+        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians.
+
+        `covariance` (3, 3) is that of the motion, by default that of a robot's odometry.
+        """
         noise = self.how.noise.scaled(self._wrong)
+        own = None if covariance is None else self._wrong * covariance
         self._poses, self._covariance = move_gaussians(
-            self._poses, self._covariance, increment, noise
+            self._poses, self._covariance, increment, noise, own
         )
         self._lasers.move(way_of(increment))
         if self._begun is not None:
-            self._begun = move_gaussians(*self._begun, increment, noise)
+            self._begun = move_gaussians(*self._begun, increment, noise, own)
         if self._searching is not None:
             self._searching.move(increment)
         metres = float(way_of(increment)[0])

@@ -656,10 +656,11 @@ class LocalizerNode:
             self._publish(found, asked)
         if shown:
             self._show(found, asked, sure=sure or (self._sure and self._holds(moment)))
-        if sure and self.settings.track and moment.map_odom is not None:
+        if sure and self.settings.track:
             header = self.made.header(asked.stamp, self._map_frame)
             self._pose.publish(self.made.pose(found.poses[0], moment.covariance, header))
-            self._map_odom.publish(self.made.link(moment.map_odom, header, self._odom_frame))
+            if moment.map_odom is not None:
+                self._map_odom.publish(self.made.link(moment.map_odom, header, self._odom_frame))
         elsewhere = moment.belief.verdict == LOST and moment.metres > self.settings.metres
         if elsewhere and not self._followed and len(self.core.names) > 1:
             self._robot.reset()  # not this floor

@@ -143,9 +143,6 @@ def _row(moment: Moment, origin: Pose2D | None) -> str:
 
 
 def _read(line: str, where: str, how: Mapping[str, Any]) -> tuple[LaserScan, Any]:
-    """A line of a log, as a robot sends it: its scan, and its odometry (3,)."""
+    """A line of a log, as a robot sends it: its scan, and its odometry (3,), if any."""
     one = read_jsonl_line(line, where)
-    if one.odom is None:
-        missing = "odom: missing, expected the pose of the odometry, [x, y, theta]"
-        raise ScanError(f"{where}: {missing}")
-    return taken(one[0], how), one.odom[0]
+    return taken(one[0], how), None if one.odom is None else one.odom[0]

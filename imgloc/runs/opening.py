@@ -50,6 +50,7 @@ from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount
 from imgloc.options import Chosen, Logs, Options, Reading
 from imgloc.pipeline import prepare
 from imgloc.ranges import Checked
+from imgloc.robot.recording import SCANS
 from imgloc.search.asked import answer_bytes
 from imgloc.simulation.scans import FINE, fine_factor
 
@@ -278,6 +279,8 @@ class Desk:
         )  # fmt: skip
         if files.mount is not None and len({s.laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
+        if files.odom == SCANS:
+            recorded = replace(recorded, odom=None)
         indices = files.chosen.of(len(recorded), name)
         some, tried = (
             replace(part, scans=tuple(map(files.mounted, part.scans)))
