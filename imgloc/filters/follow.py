@@ -329,7 +329,8 @@ class Follower:
     ) -> Moment:
         """Take a scan and the odometry's pose (3,) at its stamp: metres, metres, radians.
 
-        Without odometry the scans alone tell the motion. `stamp` is in seconds, by default the scan's own.
+        Without odometry the scans alone tell the motion. `stamp` is in seconds, by default the
+        scan's own.
 
         Raises
         ------
