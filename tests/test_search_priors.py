@@ -78,9 +78,10 @@ def test_around_covers_map_cells_that_are_larger_than_its_own():
 
 def test_around_takes_no_more_memory_than_the_map():
     cells = np.ones((2000, 2000), bool)
+    prior = Prior(cells)
     tracemalloc.start()
     try:
-        assert around(Prior(cells), (500, 500), 0.2, 0.05).all()
+        assert around(prior, (500, 500), 0.2, 0.05).all()
         assert tracemalloc.get_traced_memory()[1] < cells.size
     finally:
         tracemalloc.stop()
