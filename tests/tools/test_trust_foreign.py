@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.io.maps import save_map
 from imgloc.model import Hypothesis, Localization, Pose2D
 from imgloc.simulation.scans import simulate
@@ -11,6 +13,7 @@ from tools.plans.drawing import building, true_world
 from tools.trust.__main__ import main
 from tools.trust.disturb import PRIORS, ROOMS, half_of
 from tools.trust.foreign import (
+    WITHOUT,
     Asked,
     at_home,
     floors_of,
@@ -20,6 +23,8 @@ from tools.trust.foreign import (
     rooms_and_others,
     told,
 )
+from tools.trust.racks import CELL, CHANGES, in_racks
+from tools.trust.things import THINGS
 
 
 @pytest.fixture(scope="module")
@@ -103,3 +108,28 @@ def test_the_tool_prints_two_tables(capsys, tmp_path):
         )
     assert "| floors with the true one | 4 |" in named
     assert main(["foreign", "-n", "0"]) == 2
+
+
+def test_racks_change_where_they_say_and_the_robot_stands_beside_them():
+    mapped, _ = in_racks("racks", 1, 3)
+    for change, most in zip(CHANGES, (0.0, 0.04, 0.12, 0.2), strict=True):
+        grid, scans = in_racks(change, 6, 3)
+        np.testing.assert_array_equal(grid.occupied, mapped.occupied)
+        seen = [
+            cast_rays(distance_image(grid.occupied), pose[:2], pose[2] + scan.angles, 20.0, CELL)
+            for scan, pose in scans.with_poses()
+        ]
+        off = [
+            np.abs(scan.ranges[scan.valid] - far[scan.valid])
+            for scan, far in zip(scans.scans, seen, strict=True)
+        ]
+        differ = float((np.concatenate(off) > 0.4).mean())
+        assert differ < 0.01 if most == 0 else 0.01 < differ < 3 * most
+
+
+def test_things_are_asked_for_at_home_and_away(capsys):
+    assert main(["things", "-n", "1", "--worlds", "curved", "--buildings", "0"]) == 0
+    rows = {line.split(" | ")[0].strip("| "): line for line in capsys.readouterr().out.split("\n")}
+    assert {"undisturbed", *THINGS, *CHANGES, "half the map", *ROOMS} <= set(rows)
+    assert all(WITHOUT in rows[name] for name in THINGS)
+    assert main(["things", "-n", "0"]) == 2

@@ -11,6 +11,7 @@
     python -m tools.trust precision --maps ../data/map_*/map.yaml     # and of simulated scans
     python -m tools.trust lean --sets ../data/*/map.yaml              # too far forward?
     python -m tools.trust foreign --sets ../data/*/map.yaml           # scans that are on no map
+    python -m tools.trust things --sets ../data/*/map.yaml            # one thing that has changed
     python -m tools.trust scale --sets ../data/*/map.yaml             # calibrate --scans
     python -m tools.trust which maps ../data --same fr079,fr079_half  # names of maps
     python -m tools.trust thousand maps ../data --full
@@ -93,6 +94,7 @@ from tools.trust.robustness import (
     robustness_table,
 )
 from tools.trust.scale import scale_rows, scale_table
+from tools.trust.things import things
 from tools.trust.thousand import ask_thousand, make_thousand
 
 QUICK = ("visibility", "curved")
@@ -416,6 +418,25 @@ def run_foreign(given: argparse.Namespace) -> int:
     return 0
 
 
+def run_things(given: argparse.Namespace) -> int:
+    """What does one changed thing cost? Walls that are gone, glass, a cart, crowds, racks.
+
+    Beside the scans with one thing that differs stand undisturbed ones, and those of other floors,
+    other buildings, rooms on no map and halves of maps. Nothing is known of any pose. Prints a
+    Markdown table.
+    """
+    n, seed = given.n, given.seed
+    at_least_one(n=n)
+    cv2.setNumThreads(1)
+    places = recorded_sets(given.sets, n, seed, given.range_max)
+    others = {name: scans.scans for name, _, scans in places}
+    places += [(name, *in_world(name, n, seed)) for name in filter(None, given.worlds.split(","))]
+    asked = things(places, others, n, seed, buildings=given.buildings, same=buildings_of(given))
+    with progress("things", 0) as advance:
+        print(foreign_table(list(answers(asked, advance))))
+    return 0
+
+
 def run_scale(given: argparse.Namespace) -> int:
     """Maps whose cells say another size than they have, before and after `calibrate --scans`.
 
@@ -523,6 +544,9 @@ TOOLS: Sequence[tuple[Any, ...]] = (
      "--write", "--picture", "--force", "--workers", "--same"),
     (run_foreign, 20, 1, "scans of each set and building, and on no map, for each map", "--sets",
      "--range-max", "--maps", "--buildings", "--same"),
+    (run_things, 10, 1, "scans of each set, world, floor and room; twice as many of racks",
+     "--sets", "--range-max", ("--worlds", {"default": "corridor,visibility"}),
+     ("--buildings", {"default": 2}), "--same"),
     (run_scale, 30, 1, "scans of each set, as many again to fit to", _NEEDED, "--range-max",
      "--factors"),
     (run_which, 200, 0, "scans, spread over the maps", "folders", "--range-max", "--same"),

@@ -29,10 +29,10 @@ def with_ranges(scan: LaserScan, ranges: FloatArray) -> LaserScan:
     return replace(scan, ranges=np.where(scan.valid, np.maximum(ranges, 1e-3), scan.ranges))
 
 
-def people(scan: LaserScan, rng: Rng, count: int = 10) -> LaserScan:
+def people(scan: LaserScan, rng: Rng, count: int = 10, around: float = np.pi) -> LaserScan:
     """Discs of 0.5 m, their middles 0.8 to 4 m away: some 30 % of the rays, in clusters."""
     ranges = scan.ranges.astype(np.float64)
-    for distance, at in rng.uniform((0.8, -np.pi), (4.0, np.pi), (count, 2)):
+    for distance, at in rng.uniform((0.8, -around), (4.0, around), (count, 2)):
         across = distance * np.sin(scan.angles - at)
         ahead = distance * np.cos(scan.angles - at)
         hit = (np.abs(across) < 0.25) & (ahead > 0)
@@ -58,6 +58,24 @@ def glass(scan: LaserScan, rng: Rng) -> LaserScan:
     """A third of the rays, side by side, at the end of the sensor's range."""
     far = 0.999 * min(scan.range_max, 1e3)
     return with_ranges(scan, np.where(neighbours(scan, rng, 0.3), far, scan.ranges))
+
+
+def read_through(scan: LaserScan, rng: Rng, count: int, degrees: float) -> LaserScan:
+    """Pieces of wall that are gone, or of glass: each shows another wall 0.5 to 4 m behind it."""
+    ranges, view = scan.ranges.astype(np.float64), (scan.angles.min(), scan.angles.max())
+    for _ in range(count):
+        gone = np.abs(scan.angles - rng.uniform(*view)) < np.deg2rad(degrees / 2)
+        ranges[gone] += rng.uniform(0.5, 4.0)
+    return with_ranges(scan, ranges)
+
+
+def cart(scan: LaserScan, rng: Rng) -> LaserScan:
+    """The straight side of a cart 0.5 to 1.2 m away, on one half of the view."""
+    middle, aside = np.median(scan.angles), rng.choice((-1.0, 1.0))
+    toward = np.cos(scan.angles - middle - aside * np.pi / 2)
+    far = np.where(toward > 0, rng.uniform(0.5, 1.2) / np.maximum(toward, 1e-3), np.inf)
+    far += 0.02 * rng.standard_normal(len(far))
+    return with_ranges(scan, np.minimum(scan.ranges, far))
 
 
 def noise(scan: LaserScan, rng: Rng, sigma: float) -> LaserScan:
@@ -147,6 +165,10 @@ SCANS: Mapping[str, ScanChange] = MappingProxyType(
         "people": people,
         "body": body,
         "glass": glass,
+        "a wall gone": partial(read_through, count=1, degrees=24.0),
+        "panes of glass": partial(read_through, count=6, degrees=10.0),
+        "a cart": cart,
+        "a crowd": partial(people, count=12, around=np.pi / 2),
         "noise of 5 cm": partial(noise, sigma=0.05),
         "noise of 10 cm": partial(noise, sigma=0.1),
         "noise of 30 cm": partial(noise, sigma=0.3),
