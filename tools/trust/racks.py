@@ -57,7 +57,7 @@ def drawn(stock: Stock, cell: float) -> OccupancyGrid:
     --------
     >>> full = np.ones((8, 20), bool)
     >>> drawn((full, np.zeros(8)), 0.1).occupied.shape
-    (340, 344)
+    (363, 344)
     """
     full, moved = stock
     width = _BAYS * _BAY + 2 * _ROUND
