@@ -380,8 +380,27 @@ def test_lasers_of_one_robot_wait_beside_each_other_in_the_order_of_time(log: Sc
         assert why_of(asked[0]) == "replaced"
         assert [future.result(30).stamp for future in asked[1:]] == [1.5, 2.0]
         assert order == [1.5, 2.0]
-        assert why_of(core.update_soon(replace(log[0], stamp=1.9), np.zeros(3))) == "old"
-        assert core.update(replace(log[0], stamp=2.0), np.zeros(3)).value.index == 2
+        late = replace(log[0], stamp=1.9, laser="front")
+        assert why_of(core.update_soon(late, np.zeros(3))) == "old"
+        rear = replace(late, laser="rear")  # a little out of order is none of its faults
+        assert core.update(rear, np.zeros(3)).value.index == 2
+
+
+def test_lasers_of_one_robot_take_turns(log: ScanSet) -> None:
+    """Whoever looked last waits, though its scan be older: none is heard alone."""
+    order = list[str]()
+    with Localizer(room()) as core:
+        for k in range(6):
+            with held(core):
+                asked = {
+                    name: core.update_soon(replace(log[0], stamp=k + late, laser=name), np.zeros(3))
+                    for name, late in (("front", 0.0), ("rear", 0.08))
+                }
+                for name, future in asked.items():
+                    future.add_done_callback(lambda _, name=name: order.append(name))
+            for future in asked.values():
+                future.result(30)
+    assert order == ["front", "rear"] * 6
 
 
 def test_one_stamp_ahead_of_the_clock_does_not_make_the_scans_after_it_old(log: ScanSet) -> None:

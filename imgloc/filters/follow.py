@@ -22,6 +22,7 @@ from imgloc.model import FloatArray, LaserScan, Pose2D, Protection
 from imgloc.numbers import number
 from imgloc.options import Every, Followed, Limits, Options
 from imgloc.robot.lasers import Laser, Lasers
+from imgloc.robot.stamps import LEAP
 from imgloc.search.protection import protection
 
 LOG = logging.getLogger(__name__)
@@ -305,6 +306,7 @@ class Follower:
         self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
         self._odom: FloatArray | None = None
         self._stamp = self._said = float("nan")
+        self._stamps = dict[str, float]()  # the last one of each laser
 
     def place(
         self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, given: str = "pose"
@@ -319,6 +321,7 @@ class Follower:
     def begin_time(self) -> None:
         """Take a stamp before the last one: the clock was set back, or the last one was wrong."""
         self._said = self._stamp = np.nan
+        self._stamps.clear()
 
     def step(
         self,
@@ -346,8 +349,9 @@ class Follower:
                 raise ScanError(f"{self.name}: {said}")
         stamp = scan.stamp if stamp is None else stamp
         step, covariance = np.zeros(3), None
-        _check_order(self.name, k, np.nan if k == 0 else self._stamp, stamp)
-        if k == 0:
+        # Scans of several lasers may come a little out of order, each at its odometry's pose.
+        _check_order(self.name, k, self._stamps.get(scan.laser, self._stamp - LEAP), stamp)
+        if k == 0 or np.isnan(self._stamp):
             self._said = self._stamp = stamp
         elif odom is not None and self._odom is not None:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -356,15 +360,16 @@ class Follower:
         if odom is None or (k > 0 and self._odom is None):
             motion = self._scans.step(replace(scan, stamp=stamp))
             step, covariance = motion.increment, motion.covariance
-        waited = float(np.nan_to_num(stamp - self._stamp))
-        self._count, self._odom, self._stamp = k + 1, odom, stamp
+        waited = max(0.0, float(np.nan_to_num(stamp - self._stamp)))
+        self._count, self._odom, self._stamps[scan.laser] = k + 1, odom, stamp
+        self._stamp = stamp if np.isnan(stamp) else max(self._stamp, stamp)
         laser, repeats = self._lasers.of(scan), self._repeats[scan.laser]
         self._move(step, covariance)
         if kidnap is not None:
             self.place(kidnap.pose, kidnap.deviation, "kidnap")
         looked = self._take(scan, laser, repeats.since(scan), waited)
         repeats.believe(self.filter.belief)
-        return self._moment(k, looked)
+        return self._moment(k, stamp, looked)
 
     def _move(self, step: FloatArray, covariance: FloatArray | None) -> None:
         self.filter.move(step, covariance)
@@ -408,7 +413,7 @@ class Follower:
         laser.way = np.zeros(2)
         return True
 
-    def _moment(self, index: int, looked: bool) -> Moment:
+    def _moment(self, index: int, stamp: float, looked: bool) -> Moment:
         belief, grid = self.filter.belief, self.features.grid
         best, covariance, map_odom = None, np.full((3, 3), np.nan), None
         deviation, withheld = (np.inf, np.inf), ""
@@ -433,7 +438,7 @@ class Follower:
                 withheld = UNCONFIRMED
         age, shared = self._stamp - self._said, self.filter.options.shared
         return Moment(
-            index, self._stamp, age, looked, self._metres, belief, withheld, best, covariance,
+            index, stamp, age, looked, self._metres, belief, withheld, best, covariance,
             deviation, map_odom, grid.diagonal,
             shared.scale, shared.thinner * grid.resolution, shared.bent,
         )  # fmt: skip

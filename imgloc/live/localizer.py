@@ -14,7 +14,7 @@ import atexit
 import threading
 import time
 import weakref
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as Late
@@ -618,7 +618,7 @@ class Robot:
         self._lock = threading.RLock()
         self._follower: Follower | None = None
         self._start: tuple[Pose2D, tuple[float, float]] | None = None
-        self._stamps = Stamps(shared=True)
+        self._stamps = defaultdict[str, Stamps](lambda: Stamps(shared=True))  # of each laser
         self.era = 0  #: number of resets
 
     def update(
@@ -639,7 +639,8 @@ class Robot:
             Pose x, y [m], theta [rad] of the robot in the odometry's frame at the stamp. Without
             any, the scans alone tell the motion.
         source : hashable
-            One scan of each waits; by default of each laser.
+            One scan of each waits; by default of each laser. A text is the name of the laser, if
+            the scan has none.
         timeout : float, optional
             Seconds after which the call raises Dropped. The belief still takes a scan that is
             being looked at.
@@ -648,8 +649,8 @@ class Robot:
         ------
         Dropped
             ``replaced``, ``reset``, ``late``; ``old``, if the stamp lies before that of the last
-            scan; or ``ahead``, if the stamp leaps more than a second ahead of the clock. The second
-            stamp in a row that leaps counts.
+            scan of this laser; or ``ahead``, if the stamp leaps more than a second ahead of the
+            clock. The second stamp in a row that leaps counts.
         ScanError
             If the odometry is not finite, or leaps more than 1000 km between two scans.
         """
@@ -663,6 +664,8 @@ class Robot:
         """Return a future of :meth:`update` at once; Dropped if the map is not prepared yet."""
         expect(scan, LaserScan, "scan")
         self._core._ready(self.map)
+        if not scan.laser and isinstance(source, str):
+            scan = replace(scan, laser=source)
         key, era = Key(self, scan.laser if source is None else source), self.era
 
         def work(waited: float) -> Answer[Moment]:
@@ -671,7 +674,7 @@ class Robot:
                 if self.era != era:
                     raise Dropped("reset")
                 name, follower = self._following()
-                judged = self._stamps.take(scan.stamp, self._clock())
+                judged = self._stamps[scan.laser].take(scan.stamp, self._clock())
             if judged in (OLD, AHEAD):
                 self._core._line.count(key)
                 raise Dropped(judged)
@@ -710,7 +713,7 @@ class Robot:
         with self._lock:
             self.era += 1
             self._follower = self._start = None
-            self._stamps.start()
+            self._stamps.clear()
             self.map = self.map if map is None else map
         self._core._line.clear(self)
 
