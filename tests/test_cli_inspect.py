@@ -287,7 +287,7 @@ TYPED = [
     "--straighten forward", "--range-max 20", "--sensor 0.1,0,0.1", "--flipped",
     "--resolution 0.05", "--origin 1,2,0", "--mode scale", "--semantics ros1",
     "--occupied-thresh 0.6", "--free-thresh 0.2", "--negate", "--no-negate", "--allow-lossy",
-    "--cache {folder}", "--no-cache", "--memory-budget 2G", "--height=-1,1",
+    "--cache {folder}", "--no-cache", "--memory-budget 2G", "--height=-1,1", "--odom scans",
 ]  # fmt: skip
 
 

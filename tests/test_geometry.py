@@ -22,7 +22,7 @@ from imgloc.geometry import (
 from imgloc.model import GridInfo, Pose2D, compose, inverse
 
 coordinates = st.floats(-50, 50)
-angles = st.floats(-20, 20)
+angles = st.floats(-12.5, 12.5)
 poses = st.builds(Pose2D, coordinates, coordinates, angles)
 
 

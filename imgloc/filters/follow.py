@@ -348,12 +348,12 @@ class Follower:
                 said = f"odom[{k}]: got {odom.tolist()}, expected finite x, y and theta"
                 raise ScanError(f"{self.name}: {said}")
         stamp = scan.stamp if stamp is None else stamp
-        step, covariance = np.zeros(3), None
+        step, covariance, motion = np.zeros(3), None, None
         # Scans of several lasers may come a little out of order, each at its odometry's pose.
         _check_order(self.name, k, self._stamps.get(scan.laser, self._stamp - LEAP), stamp)
-        if k == 0 or np.isnan(self._stamp):
+        if np.isnan(self._stamp):
             self._said = self._stamp = stamp
-        elif odom is not None and self._odom is not None:
+        if odom is not None and self._odom is not None:
             with np.errstate(over="ignore", invalid="ignore"):
                 step = increments(np.stack((self._odom, odom)))[0]
             _check_way(self.name, k, float(np.hypot(*step[:2])))
@@ -365,6 +365,8 @@ class Follower:
         self._stamp = stamp if np.isnan(stamp) else max(self._stamp, stamp)
         laser, repeats = self._lasers.of(scan), self._repeats[scan.laser]
         self._move(step, covariance)
+        if motion is not None and motion.lost:
+            self.filter.miss(0.0)  # such a way confirms nothing
         if kidnap is not None:
             self.place(kidnap.pose, kidnap.deviation, "kidnap")
         looked = self._take(scan, laser, repeats.since(scan), waited)

@@ -428,6 +428,9 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
         beside[key] = value
     stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
     mounts = _mounts(arrays.get("mount"), n, name)
+    for array in (ranges, angles):  # scans hold parts of them, which nobody else can write to
+        (array if array.base is None else array.base).flags.writeable = False
+        array.flags.writeable = False
     around = np.broadcast_to(angles, ranges.shape)
     lasers = _lasers(arrays.get("laser"), n, name)
     columns = zip(ranges, around, *limits, stamps, mounts, paces, lasers, strict=True)

@@ -59,6 +59,7 @@ def likelihood(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from imgloc.model import OccupancyGrid
     >>> walls = np.pad(np.zeros((8, 9), bool), 1, constant_values=True)
     >>> scan = LaserScan([0.4, 0.5], [0.0, 1.0], range_max=9.0)
