@@ -22,7 +22,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly, one_per_place
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import misfit_near, view_of
-from imgloc.filters.follow import follow
+from imgloc.filters.follow import UNCONFIRMED, follow
 from imgloc.filters.motion import increments
 from imgloc.geometry import in_grid_frame, inside
 from imgloc.io.scanset import ScanSet
@@ -313,7 +313,8 @@ def fit_along(
     for piece in joined:
         robot, before = make_filter("tracker", features, known), 0.0
         for moment in follow(features, piece, robot):
-            if moment.pose is not None:
+            # Whether it is this building is not asked: whoever calibrates a map says so.
+            if moment.pose is not None or moment.withheld == UNCONFIRMED:
                 view = view_of(piece.scans[moment.index], known)
                 misfits.append(misfit_near(there, view, moment.belief.poses[:1], known))
             metres, before = metres + moment.metres - before, moment.metres
