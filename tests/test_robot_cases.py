@@ -181,3 +181,13 @@ def test_the_given_odometry_must_be_finite_and_nothing_changes_if_it_is_not(driv
     with pytest.raises(imgloc.ScanError, match=r"odom\[0\]: got \[nan"):
         follower.step(scan(drive[0], 0), np.array([math.nan, 0, 0]))
     assert follower.step(scan(drive[0], 0), WAY[0]).index == 0
+
+
+def test_odometry_that_trembles_is_no_way(drive) -> None:
+    """A robot that stands for two minutes, whose odometry trembles by a centimetre."""
+    rng, log = np.random.default_rng(1), []
+    for k in range(600):
+        ranges = drive[0] + rng.normal(0, 0.01, 181)
+        log.append((scan(ranges, k), np.append(rng.normal(0, 0.01, 2), rng.normal(0, 0.005))))
+    told = followed(log)
+    assert "unique" not in {verdict for verdict, _ in told}

@@ -12,8 +12,15 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
-from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
-from imgloc.filters.repeats import Repeats, dragged, frozen, smooth, stands
+from imgloc.filters.motion import (
+    Way,
+    compose_poses,
+    increments,
+    invert_poses,
+    noisy_odometry,
+    stands,
+)
+from imgloc.filters.repeats import Repeats, dragged, frozen, smooth
 from imgloc.filters.scanodometry import ScanOdometry
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
@@ -300,7 +307,7 @@ class Follower:
         self._lasers = Lasers()
         self._repeats = defaultdict[str, Repeats](Repeats)
         self._held = TrackerOptions().mass[0]  # from which one place is no longer one of several
-        self._count, self._blind, self._metres = 0, 0, 0.0
+        self._count, self._blind, self._metres, self._gone = 0, 0, 0.0, Way()
         self._scans = ScanOdometry(filter_.options)
         self._here, self._stands = np.zeros(3), True  # by odometry, since the first scan
         self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
@@ -375,7 +382,7 @@ class Follower:
 
     def _move(self, step: FloatArray, covariance: FloatArray | None) -> None:
         self.filter.move(step, covariance)
-        moved = way_of(step)
+        moved = self._gone.gone(step)
         self._lasers.move(moved)
         for repeats in self._repeats.values():
             repeats.move(step)

@@ -21,6 +21,8 @@ from imgloc.ranges import Checked, Within
 
 Alpha = Annotated[float, Within(0, 1e6, "a variance")]
 _STILL = number("motion.still")  # metres: below, the direction of a motion is noise
+# Metres and radians: a robot that has gone and turned less stands.
+_STANDS: tuple[float, float] = number("follow.stands")
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,35 @@ def increments(odom: FloatArray) -> FloatArray:
 def way_of(increment: FloatArray) -> FloatArray:
     """Metres and radians (2,) of a motion (3,), neither of them negative."""
     return np.array([np.hypot(increment[0], increment[1]), abs(wrap(increment[2]))])
+
+
+def stands(step: FloatArray) -> bool:
+    """Whether a motion (3,) is that of a robot that stands."""
+    return bool((way_of(step) < _STANDS).all())
+
+
+class Way:
+    """Counts the way of a robot, but not the trembling of its odometry while it stands.
+
+    Examples
+    --------
+    >>> way = Way()
+    >>> sum(way.gone(np.array([0.01 * (-1) ** k, 0.0, 0.0])) for k in range(1000)).tolist()
+    [0.0, 0.0]
+    >>> way.gone(np.array([0.3, 0.0, 0.0])).round(6).tolist()
+    [0.3, 0.0]
+    """
+
+    def __init__(self) -> None:
+        self._since = np.zeros(3)
+
+    def gone(self, increment: FloatArray) -> FloatArray:
+        """Metres and radians (2,) that a motion (3,) adds to the way: none while it stands."""
+        self._since = compose_poses(self._since, increment)
+        if stands(self._since):
+            return np.zeros(2)
+        gone, self._since = way_of(self._since), np.zeros(3)
+        return gone
 
 
 def turn_go_turn(increment: FloatArray) -> FloatArray:

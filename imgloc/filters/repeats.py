@@ -14,7 +14,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import evenly
 from imgloc.filters.belief import PLACE, Belief
-from imgloc.filters.motion import compose_poses, invert_poses, way_of
+from imgloc.filters.motion import compose_poses, invert_poses, stands, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
@@ -24,7 +24,6 @@ _BUFFERS = 1000  # scans of a laser that are remembered, because a driver may re
 # a share of its readings have changed by less than so many metres, though the map expects such a
 # share to change.
 _FAR, _TURN, _NEAR, _SHARE = number("follow.stale")
-_STANDS: tuple[float, float] = number("follow.stands")
 _CHANGES: float = number("follow.changes")
 _LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's
 _FEW = 90  # rays whose expected readings are compared
@@ -101,11 +100,6 @@ class Repeats:
 
     def _way(self, then: FloatArray) -> FloatArray:
         return compose_poses(invert_poses(then), self._here)
-
-
-def stands(step: FloatArray) -> bool:
-    """Whether a motion (3,) is that of a robot that stands."""
-    return bool((way_of(step) < _STANDS).all())
 
 
 def smooth(scan: LaserScan) -> bool:

@@ -30,7 +30,7 @@ from imgloc.filters.evidence import (
     usable,
     view_of,
 )
-from imgloc.filters.motion import MotionNoise, compose_poses, move_gaussians, way_of
+from imgloc.filters.motion import MotionNoise, Way, compose_poses, move_gaussians, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.numbers import number
@@ -231,6 +231,7 @@ class Tracker:
         self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
         self._wrong = 1.0  # factor on the variance of odometry, as scans show it
         self._unseen = np.nan  # metres and seconds, added, since the first of some blind scans
+        self._gone = Way()
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._lasers = Lasers(self.options.shared.usual)
@@ -265,12 +266,13 @@ class Tracker:
         self._poses, self._covariance = move_gaussians(
             self._poses, self._covariance, increment, noise, own
         )
-        self._lasers.move(way_of(increment))
+        gone = self._gone.gone(increment)
+        self._lasers.move(gone)
         if self._begun is not None:
             self._begun = move_gaussians(*self._begun, increment, noise, own)
         if self._searching is not None:
             self._searching.move(increment)
-        metres = float(way_of(increment)[0])
+        metres = float(gone[0])
         self._unsearched, self._uncounted = self._unsearched + metres, self._uncounted + metres
         self._way, self._since = self._way + metres, self._since + metres
         if self._unique is not None:
