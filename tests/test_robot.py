@@ -215,3 +215,27 @@ def test_the_mount_is_that_of_the_time() -> None:
     assert found is not None
     assert {t: round(planar(pose)[2], 6) for t, pose in found.items()} == {0.25: 0.25, 0.5: 0.5}
     assert mounted(Frames(), "laser", "", np.array([0.5])) is None
+
+
+def test_poses_out_of_order_are_not_static() -> None:
+    stamps = (12.0, 14.0, 11.0, 10.0, 13.0)
+    frames = frames_of(moving=[("laser", "base", t, link(max(0.0, t - 12))) for t in stamps])
+    assert at(frames, "laser", "base", 10.5) == pytest.approx((0, 0, 0))
+    assert at(frames, "laser", "base", 13.5) == pytest.approx((1.5, 0, 0))
+
+
+def test_a_placeholder_in_tf_static_does_not_hide_what_moves() -> None:
+    frames = frames_of(moving=[("base", "odom", float(k), link(float(k))) for k in range(3)])
+    frames.add("base", "odom", link())
+    assert at(frames, "base", "odom", 1.5) == pytest.approx((1.5, 0, 0))
+    later = frames_of(("base", "odom", link()))
+    for k in range(3):
+        later.add("base", "odom", link(float(k)), float(k))
+    assert at(later, "base", "odom", 1.5) == pytest.approx((1.5, 0, 0))
+
+
+def test_an_odometry_of_one_message_is_none_beside_tf() -> None:
+    one = Source("/odom", "odom", "base_link", Odometry([0.0], [(0, 0, 0)]))
+    found = picked([one], tree(""))
+    assert found.source is not None
+    assert (found.source.tf, found.others) == (True, ("/odom",))

@@ -191,3 +191,23 @@ def test_odometry_that_trembles_is_no_way(drive) -> None:
         log.append((scan(ranges, k), np.append(rng.normal(0, 0.01, 2), rng.normal(0, 0.005))))
     told = followed(log)
     assert "unique" not in {verdict for verdict, _ in told}
+
+
+def test_odometry_that_stops_and_comes_back_is_counted_once(drive) -> None:
+    """What nobody measured confirms nothing, and no way is driven twice."""
+    follower = Tracking().follower(features_of("curved"), imgloc.Options(threads=1))
+    for k in range(40):
+        odom = None if k in (5, 20, 21) else WAY[k]
+        moment = follower.step(scan(drive[k], k), odom)
+        assert moment.metres == pytest.approx(0.1 * k, abs=0.35)
+    assert moment.belief.verdict == "unique"
+    assert moment.best is not None
+    assert math.hypot(moment.best.x - WAY[39, 0], moment.best.y - WAY[39, 1]) < 0.1
+
+
+def test_a_damaged_odometry_costs_two_scans(drive) -> None:
+    follower = Tracking().follower(features_of("curved"), imgloc.Options(threads=1))
+    follower.step(scan(drive[0], 0), np.array([1e9, 0, 0]))
+    with pytest.raises(imgloc.ScanError, match="the log is damaged"):
+        follower.step(scan(drive[1], 1), WAY[1])
+    assert follower.step(scan(drive[2], 2), WAY[2]).metres == pytest.approx(0.1)

@@ -329,6 +329,12 @@ class Follower:
         """Take a stamp before the last one: the clock was set back, or the last one was wrong."""
         self._said = self._stamp = np.nan
         self._stamps.clear()
+        self._scans = ScanOdometry(self.filter.options)
+
+    @property
+    def latest(self) -> float:
+        """The latest stamp, seconds; NaN if none is known."""
+        return self._stamp
 
     def step(
         self,
@@ -346,15 +352,19 @@ class Follower:
         ------
         ScanError
             If the stamp is before that of the last scan. If the odometry is not finite, or jumps
-            by more than 1,000 km. Nothing changes then.
+            by more than 1,000 km.
         """
         k = self._count
         if odom is not None:
-            odom = np.array(odom, dtype=np.float64)
+            try:
+                odom = np.array(odom, dtype=np.float64)
+            except (TypeError, ValueError):
+                odom = np.full(1, np.nan)
             if odom.shape != (3,) or not np.isfinite(odom).all():
                 said = f"odom[{k}]: got {odom.tolist()}, expected finite x, y and theta"
                 raise ScanError(f"{self.name}: {said}")
         stamp = scan.stamp if stamp is None else stamp
+        laser = self._lasers.of(scan)
         step, covariance, motion = np.zeros(3), None, None
         # Scans of several lasers may come a little out of order, each at its odometry's pose.
         _check_order(self.name, k, self._stamps.get(scan.laser, self._stamp - LEAP), stamp)
@@ -363,14 +373,20 @@ class Follower:
         if odom is not None and self._odom is not None:
             with np.errstate(over="ignore", invalid="ignore"):
                 step = increments(np.stack((self._odom, odom)))[0]
+            if k == 1 and np.hypot(*self._odom[:2]) > _FARTHEST:
+                self._odom = odom  # the first one is the damaged one
             _check_way(self.name, k, float(np.hypot(*step[:2])))
+        if odom is None and self._odom is not None:  # nothing tells the way since the last scan
+            self._scans = ScanOdometry(self.filter.options)
         if odom is None or (k > 0 and self._odom is None):
             motion = self._scans.step(replace(scan, stamp=stamp))
+            if self._odom is not None:
+                motion = replace(motion, covariance=np.eye(3), lost=True)
             step, covariance = motion.increment, motion.covariance
         waited = max(0.0, float(np.nan_to_num(stamp - self._stamp)))
         self._count, self._odom, self._stamps[scan.laser] = k + 1, odom, stamp
         self._stamp = stamp if np.isnan(stamp) else max(self._stamp, stamp)
-        laser, repeats = self._lasers.of(scan), self._repeats[scan.laser]
+        repeats = self._repeats[scan.laser]
         self._move(step, covariance)
         if motion is not None and motion.lost:
             self.filter.miss(0.0)  # such a way confirms nothing

@@ -117,7 +117,8 @@ class ScanOdometry:
 
     def _since(self, stamp: float) -> float:
         """Seconds since the last scan; after a minute the robot may be anywhere."""
-        seconds, self._stamp = stamp - self._stamp, stamp
+        seconds = stamp - self._stamp
+        self._stamp = stamp if math.isnan(seconds) else max(self._stamp, stamp)
         if not self._references:
             return 0.0
         return 1.0 if math.isnan(seconds) else min(max(0.0, seconds), 60.0)

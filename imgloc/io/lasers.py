@@ -27,7 +27,7 @@ def lasers_of(topic: str) -> list[str]:
 def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
     """The scans of several lasers as one set, in the order of their stamps.
 
-    Poses and odometry are kept if all have them.
+    Poses are kept if all have them. Odometry is NaN where a laser has none.
 
     Parameters
     ----------
@@ -53,6 +53,10 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
     if len(set(named.values())) < len(named):
         raise ScanError(f"{name}: got {', '.join(named)}, expected each laser once")
     every = list(sets.values())
+    robots = list(dict.fromkeys(s.recording.odometry for s in every if s.recording.odometry))
+    if len(robots) > 1:
+        what = f"are on several robots, by their odometry: {', '.join(robots)}"
+        raise ScanError(f"{name}: {', '.join(sets)} {what}; expected lasers of one, or `odom`")
     stamps = np.concatenate([s.stamps for s in every if s.stamps is not None])
     order = np.argsort(stamps, kind="stable")
     joined = [replace(scan, laser=named[laser]) for laser, s in sets.items() for scan in s.scans]
@@ -60,7 +64,7 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
         tuple(joined[k] for k in order),
         _all([s.poses for s in every], order),
         stamps[order],
-        _all([s.odom for s in every], order),
+        _odometry(every, order),
         every[0].recording,
     )
 
@@ -68,3 +72,11 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
 def _all(parts: Sequence[FloatArray | None], order: IntArray) -> FloatArray | None:
     given = [part for part in parts if part is not None]
     return np.concatenate(given)[order] if len(given) == len(parts) else None
+
+
+def _odometry(sets: Sequence[ScanSet], order: IntArray) -> FloatArray | None:
+    """That of each scan, NaN where its laser has none; None if no laser has any."""
+    if all(scans.odom is None for scans in sets):
+        return None
+    each = [np.full((len(s), 3), np.nan) if s.odom is None else s.odom for s in sets]
+    return np.asarray(np.concatenate(each)[order])

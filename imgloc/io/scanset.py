@@ -458,7 +458,11 @@ def _lasers(laser: FloatArray | None, n: int, name: str) -> list[str]:
         return [""] * n
     if laser.size != 1 and laser.shape != (n,):
         raise wrong(f"{name}: laser", f"shape {laser.shape}", f"one number or {(n,)}")
-    return [f"{number:g}" for number in np.broadcast_to(laser.ravel(), (n,)).tolist()]
+    if (odd := laser[laser != np.rint(laser)]).size or not np.isfinite(laser).all():
+        raise wrong(
+            f"{name}: laser", f"{odd.flat[0] if odd.size else laser.flat[0]}", "whole numbers"
+        )
+    return [str(int(number)) for number in np.broadcast_to(laser.ravel(), (n,)).tolist()]
 
 
 def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ...]:

@@ -32,7 +32,7 @@ from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
 from imgloc.options import NAMED, Known, Options, Prior
 from imgloc.pipeline import localize
-from imgloc.robot.stamps import AHEAD, ANEW, OLD, Stamps
+from imgloc.robot.stamps import AHEAD, ANEW, FINE, LEAP, OLD, Stamps
 from imgloc.search.priors import leaves_none, prior_of
 
 T = TypeVar("T")
@@ -675,6 +675,8 @@ class Robot:
                     raise Dropped("reset")
                 name, follower = self._following()
                 judged = self._stamps[scan.laser].take(scan.stamp, self._clock())
+            if judged == FINE and scan.stamp < follower.latest - LEAP:
+                judged = OLD  # that another laser is so late says nothing of its clock
             if judged in (OLD, AHEAD):
                 self._core._line.count(key)
                 raise Dropped(judged)

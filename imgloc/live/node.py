@@ -297,6 +297,7 @@ class LocalizerNode:
         self._frames = Frames(most=_MOVES)
         self._waiting = deque[_Waiting]()
         self._first = math.inf  # monotonic seconds of the first scan
+        self._moved = False  # whether there is odometry
         self._stood: Pose2D | None = None  # where a robot that stands was looked at, by odometry
         self._sure_at: tuple[float, Pose2D] | None = None  # stamp and map_odom of that pose
         self._map: tuple[Any, ...] | None = None
@@ -457,7 +458,7 @@ class LocalizerNode:
                 return scan, None, f"transforms from {base} to {one.frame}"
             mount, turned = Pose2D(*planar(link)), link[2, 2] < 0
         odom = self._moves.at(stamp)
-        silent = not len(self._moves) and time.monotonic() > self._first + _NO_ODOMETRY
+        silent = not self._moved and time.monotonic() > self._first + _NO_ODOMETRY
         if odom is None and not silent:
             return scan, None, "odometry"
         scan = scan.flipped if turned else scan
@@ -502,8 +503,9 @@ class LocalizerNode:
             self._moves.clear()
         elif judged != FINE:
             return
-        if not len(self._moves) and time.monotonic() > self._first + _NO_ODOMETRY:
+        if not self._moved and time.monotonic() > self._first + _NO_ODOMETRY:
             self._robot.reset()  # until now the scans alone told the motion
+        self._moved = True
         self._odom_frame = frame_name(message.header.frame_id) or "odom"
         self._moves.add(stamp, pose)
         self._go_on()
@@ -549,6 +551,7 @@ class LocalizerNode:
         self.found, self._sure = None, False
         self._moves.clear()
         self._move_stamps.start()
+        self._first, self._moved = math.inf, False
         self._frames.forget()
         self._waiting.clear()
         for laser in self.lasers:

@@ -19,8 +19,10 @@ class _Link:
     def __init__(self) -> None:
         self.stamps = list[float]()
         self.poses = list[FloatArray]()
+        self.static = True
 
     def add(self, pose: FloatArray, stamp: float, most: int) -> None:
+        self.static &= not self.poses or _close(pose, self.poses[0])
         k = bisect_right(self.stamps, stamp)
         last = self.poses[-2:]
         if k == len(self.stamps) and len(last) == 2 and all(_close(pose, p) for p in last):
@@ -31,13 +33,9 @@ class _Link:
         if len(self.stamps) > most:
             del self.stamps[0], self.poses[0]
 
-    @property
-    def static(self) -> bool:
-        return all(_close(self.poses[0], pose) for pose in self.poses[1:3])
-
     def at(self, stamp: float) -> FloatArray | None:
         if self.static:
-            return self.poses[-1]
+            return self.poses[-1] if self.poses else None
         k = bisect_right(self.stamps, stamp)
         if k and self.stamps[k - 1] == stamp:
             return self.poses[k - 1]
@@ -74,6 +72,8 @@ class Frames:
 
     def __init__(self, most: int = 1_000_000) -> None:
         self._links = dict[tuple[str, str], _Link]()  # by child and parent
+        self._above = dict[str, list[str]]()  # parents of a frame, the latest last
+        self._below = dict[str, list[str]]()  # children
         self._paths = dict[tuple[str, str], list[str] | None]()
         self._most = most
 
@@ -86,20 +86,30 @@ class Frames:
             return False
         link = self._links.get((child, parent))
         if link is None:
-            for other in [key for key in self._links if key[0] == child and stamp == -np.inf]:
-                if self._links[other].stamps == [-np.inf]:
-                    del self._links[other]  # a static link is replaced by the next
+            for other in tuple(self._above.get(child, ())) if stamp == -np.inf else ():
+                if self._links[child, other].stamps == [-np.inf]:
+                    self._cut(child, other)  # a static link is replaced by the next
             link = self._links[child, parent] = _Link()
+            self._above.setdefault(child, []).append(parent)
+            self._below.setdefault(parent, []).append(child)
             self._paths = {}
-        if stamp == -np.inf:
-            link.stamps, link.poses = [stamp], [pose]
-        else:
+        if stamp > -np.inf:
+            if link.stamps == [-np.inf]:  # what moves is no placeholder
+                link.stamps, link.poses = [], []
             link.add(pose, stamp, self._most)
+        elif link.stamps in ([], [-np.inf]):
+            link.stamps, link.poses = [stamp], [pose]
         return True
 
     def forget(self) -> None:
         """Forget the links that move, because time begins anew."""
-        self._links = {key: link for key, link in self._links.items() if link.stamps == [-np.inf]}
+        for child, parent in [key for key, one in self._links.items() if one.stamps != [-np.inf]]:
+            self._cut(child, parent)
+
+    def _cut(self, child: str, parent: str) -> None:
+        del self._links[child, parent]
+        self._above[child].remove(parent)
+        self._below[parent].remove(child)
         self._paths = {}
 
     def path(self, frame: str, base: str) -> list[str] | None:
@@ -118,15 +128,11 @@ class Frames:
         return self._paths[frame, base]
 
     def _path(self, frame: str, base: str) -> list[str] | None:
-        near = dict[str, list[str]]()
-        for child, parent in self._links:
-            near.setdefault(child, []).insert(0, parent)  # parents first
-            near.setdefault(parent, []).append(child)
         came, line = {frame: frame}, [frame]
         for at in line:
             if at == base:
                 break
-            for other in near.get(at, ()):
+            for other in (*self._above.get(at, ())[::-1], *self._below.get(at, ())):
                 if other not in came:
                     came[other] = at
                     line.append(other)
@@ -154,16 +160,20 @@ class Frames:
 
     def parents(self, frame: str) -> list[str]:
         """The frame, its parent, and so on up to the root; the latest link counts."""
-        out = [frame]
-        while True:
-            above = [p for c, p in self._links if c == out[-1] and p not in out]
-            if not above:
-                return out
-            out.append(above[-1])
+        out = {frame: None}
+        while above := self._above.get(next(reversed(out)), []):
+            if above[-1] in out:
+                break
+            out[above[-1]] = None
+        return list(out)
+
+    def above(self, frame: str) -> list[str]:
+        """The frame's parent, if it has any: that of the latest link."""
+        return self._above.get(frame, [])[-1:]
 
     def children(self, frame: str) -> list[str]:
         """Frames whose parent this one is."""
-        return [child for child, parent in self._links if parent == frame]
+        return list(self._below.get(frame, ()))
 
     def base_of(self, frame: str) -> str | None:
         """The base of the robot that has a frame: the nearest of :data:`BASES`, first come first.

@@ -36,7 +36,8 @@ class Source:
 
     def named(self, asked: str) -> bool:
         """Whether somebody asks for it, by its topic or one of its frames."""
-        return asked.strip("/") in (self.name.strip("/"), self.frame, self.child)
+        names = (self.name.strip("/"), self.frame, self.child)
+        return asked.strip("/") in filter(None, names)
 
 
 @dataclass(frozen=True)
@@ -130,14 +131,17 @@ def pick_odometry(
                 f"pass `odom`, one of {there}"
             )
     robots = tuple(s.words for s in (*away, *unknown) if s not in linked)
-    if linked:
+    told = [source for source in linked if len(source.odometry) > 1]
+    if told or (linked and not links):
+        linked = told or linked
         best = min(linked, key=lambda s: _rank(s, links, topic))
         rest = tuple(s.words for s in linked if s is not best)
         why = f"tf leads from {best.child} to {laser}" if best.child in body else "by its name"
         return Picked(best, why, rest, robots, names)
     if links:
         why = f"tf leads from {links[0].child} to {laser}"
-        return Picked(links[0], why, (), robots, names)
+        rest = tuple(source.words for source in linked)
+        return Picked(links[0], why, rest, robots, names)
     return Picked(None, "", (), robots, names)
 
 
@@ -190,7 +194,7 @@ def _reached(frames: Frames, laser: str, ends: set[str]) -> set[str]:
     """Frames to which links lead from the laser without those that are not of its robot."""
     out, line = {laser}, [laser]
     for at in line:
-        near = [*frames.parents(at)[1:2], *frames.children(at)]
+        near = [*frames.above(at), *frames.children(at)]
         new = [other for other in near if other not in out and other not in ends]
         out.update(new)
         line += new
