@@ -148,6 +148,9 @@ class TrackerOptions(Checked):
     #: and the least share with which a component is ``unique``. On the map of another building a
     #: place fits for some metres now and then.
     explained: tuple[Metres, Share] = number("TrackerOptions.explained")
+    #: a scan that agrees with no place alone is explained if the probability of being lost, and the
+    #: nats that each reading lacks at the best place, are less than these
+    fits: tuple[Share, Nats] = number("TrackerOptions.fits")
     resets: bool = True  #: whether places that a scan finds take the lost mass: sensor resetting
 
 
@@ -441,11 +444,15 @@ class Tracker:
         enough = len(view.readings) >= how.agree[1]
         self._agreed = self._agreed + enough if agrees else 0
         self._dark &= self._agreed < how.agree[0]
-        self._judge_map(self._agreed > 0 and not self._lasers.doubted)
         if agrees and enough and not laser.doubted:
             self._since = 0.0
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
+        # That several places of a building look alike is no sign of another building.
+        lost, misfit = how.fits
+        fits = self._lost < lost and laser.last < misfit
+        self._judge_map((self._agreed > 0 or fits) and not self._lasers.doubted)
+        if len(self._mass):
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
             if alone and not self.options.shared.bent:  # whose offsets look like a scale
                 self._stretch(view, fits=laser.last <= self.options.fused.strained)
