@@ -474,6 +474,10 @@ class LocalizerNode:
             self._ask(one, scan, odom)
         if floors or not (self.first.wanted or self.settings.track):
             return
+        if scan.directions < self.core.options.trust.readings and any(
+            asked.scan.laser == scan.laser and not asked.future.done() for asked in self._tracked
+        ):
+            return  # a blind scan does not push out one that waits, and may see
         pose = None if odom is None else np.array([odom.x, odom.y, odom.theta])
         with contextlib.suppress(Dropped):  # another map has come meanwhile
             future = self._robot.update_soon(scan, pose, source=one.laser.topic)

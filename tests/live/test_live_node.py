@@ -186,7 +186,7 @@ def test_a_laser_that_repeats_one_scan_is_given_up(field, log, what, said, level
 @pytest.mark.parametrize("wrong", ["nan", "empty", "short", "zero", "unstamped"])
 def test_no_pose_has_the_stamp_of_a_scan_that_says_nothing(field, log, wrong) -> None:
     field.listen()
-    field.node(MAP, "--sensor", SENSOR)
+    field.node(MAP, "--sensor", SENSOR, "--tries", 10_000)
     field.play(MAP, log, "--no-map", "--disturb", wrong)
     field.until(lambda: field.heard("initialpose"))
     assert field.told(log).right
