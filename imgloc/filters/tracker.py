@@ -448,14 +448,10 @@ class Tracker:
             self._since = 0.0
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
-        # That several places of a building look alike is no sign of another building.
-        lost, misfit = how.fits
-        fits = self._lost < lost and laser.last < misfit
-        self._judge_map((self._agreed > 0 or fits) and not self._lasers.doubted)
-        if len(self._mass):
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
             if alone and not self.options.shared.bent:  # whose offsets look like a scale
                 self._stretch(view, fits=laser.last <= self.options.fused.strained)
+        self._judge_map(self._explains(laser))
         self._remember()
 
     def _search(
@@ -512,6 +508,12 @@ class Tracker:
         self._find, self._walls = None, []  # what replaces the search knows the old walls
         self._begin_again()
         return True
+
+    def _explains(self, laser: Laser) -> bool:
+        """Whether the map explains the last scan: at one place, or at several that look alike."""
+        lost, misfit = self.how.fits
+        fits = self._lost < lost and laser.last < misfit
+        return (self._agreed > 0 or fits) and not self._lasers.doubted
 
     def _judge_map(self, agrees: bool) -> None:
         """Average over the way, and nothing before it, whether scans agree with one place."""
