@@ -457,6 +457,20 @@ def test_a_scan_that_is_lost_now_and_then_takes_nothing_back() -> None:
     assert set(seen) == {"unique"}
 
 
+@pytest.mark.parametrize("blind", [0, 1])
+def test_every_other_scan_lost_confirms_a_place_whichever_scan_is_the_first(blind: int) -> None:
+    """Steps of 4 cm: each second one alone makes a way, and it may be the one to a blind scan."""
+    poses = np.column_stack((5.0 + 0.04 * np.arange(100), np.full(100, 7.0), np.zeros(100)))
+    ranges = simulate_ranges(render(WORLDS[WORLD](), 0.05), poses, ANGLES, seed=2, range_max=30.0)
+    scans = tuple(LaserScan(one, ANGLES, range_max=30.0) for one in ranges)
+    made = ScanSet(scans, poses, 0.1 * np.arange(100.0), poses)
+    moments = list(
+        follow(features_of(WORLD), blinked(made, *range(blind, 100, 2)), tracker_of(find=None))
+    )
+    first = next(k for k, moment in enumerate(moments) if moment.pose is not None)
+    assert 36 <= first <= 46, first
+
+
 def test_who_has_not_moved_has_not_been_followed() -> None:
     tracker = tracker_of()
     tracker.place(log().poses[0], (0.1, 0.1))

@@ -53,10 +53,13 @@ class Filter(Protocol):
     options: Options  #: options of the search, with the scale of the scans as estimated so far
     unsure: str  #: why no pose is ever ``unique`` on this map; empty if one may be
 
-    def move(self, increment: FloatArray, covariance: FloatArray | None = None) -> None:
+    def move(
+        self, increment: FloatArray, covariance: FloatArray | None = None, *, known: bool = True
+    ) -> None:
         """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians.
 
-        `covariance` (3, 3) is that of the motion, by default that of a robot's odometry.
+        `covariance` (3, 3) is that of the motion, by default that of a robot's odometry. A way that
+        is not `known` confirms no place.
         """
 
     def see(self, scan: LaserScan) -> None:

@@ -387,17 +387,15 @@ class Follower:
         self._count, self._odom, self._stamps[scan.laser] = k + 1, odom, stamp
         self._stamp = stamp if np.isnan(stamp) else max(self._stamp, stamp)
         repeats = self._repeats[scan.laser]
-        self._move(step, covariance)
-        if motion is not None and motion.lost:
-            self.filter.miss(0.0)  # such a way confirms nothing
+        self._move(step, covariance, known=motion is None or not motion.lost)
         if kidnap is not None:
             self.place(kidnap.pose, kidnap.deviation, "kidnap")
         looked = self._take(scan, laser, repeats.since(scan), waited)
         repeats.believe(self.filter.belief)
         return self._moment(k, stamp, looked)
 
-    def _move(self, step: FloatArray, covariance: FloatArray | None) -> None:
-        self.filter.move(step, covariance)
+    def _move(self, step: FloatArray, covariance: FloatArray | None, *, known: bool) -> None:
+        self.filter.move(step, covariance, known=known)
         moved = self._gone.gone(step)
         self._lasers.move(moved)
         for repeats in self._repeats.values():

@@ -236,6 +236,7 @@ class Tracker:
         self._unseen = np.nan  # metres and seconds, added, since the first of some blind scans
         self._gone = Way()
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
+        self._blinded = 0.0  # metres of that way until the last blind scan
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._lasers = Lasers(self.options.shared.usual)
         self._scales = list[tuple[float, float]]()
@@ -259,10 +260,13 @@ class Tracker:
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._lasers.place()
 
-    def move(self, increment: FloatArray, covariance: FloatArray | None = None) -> None:
+    def move(
+        self, increment: FloatArray, covariance: FloatArray | None = None, *, known: bool = True
+    ) -> None:
         """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians.
 
-        `covariance` (3, 3) is that of the motion, by default that of a robot's odometry.
+        `covariance` (3, 3) is that of the motion, by default that of a robot's odometry. A way that
+        is not `known` confirms no place.
         """
         noise = self.how.noise.scaled(self._wrong)
         own = None if covariance is None else self._wrong * covariance
@@ -277,7 +281,7 @@ class Tracker:
             self._searching.move(increment)
         metres = float(gone[0])
         self._unsearched, self._uncounted = self._unsearched + metres, self._uncounted + metres
-        self._way, self._since = self._way + metres, self._since + metres
+        self._way, self._since = self._way + metres * known, self._since + metres
         if self._unique is not None:
             pose, ago = self._unique
             self._trusted += metres if ago == 0 else 0.0
@@ -291,13 +295,14 @@ class Tracker:
         anew.
         """
         first, (rate, most, _) = self.how.sure[0], self.how.dark
-        way, self._way = self._way, 0.0
+        dark, self._blinded = self._way - self._blinded, self._way
         if np.isnan(self._unseen):  # the first blind scan: the gap before it is an ordinary one
             self._unseen = 0.0
             return
-        before, self._unseen = self._unseen, self._unseen + way + seconds
+        before, self._unseen = self._unseen, self._unseen + dark + seconds
         if self._unseen <= self.how.blink:
             return
+        self._way = self._blinded = 0.0
         self._followed = np.minimum(self._followed, max(0.0, first - self._unseen))
         self._agreed, self._dark = 0, True
         if before <= self.how.blink:
@@ -347,6 +352,7 @@ class Tracker:
     def _follow_on(self) -> None:
         """Count the way since the last scan as followed, because a scan saw something."""
         self._followed, self._way, self._unseen = self._followed + self._way, 0.0, np.nan
+        self._blinded = 0.0
 
     def _fresh(self, laser: Laser) -> float:
         """Share of a scan's evidence that is new, 0..1, by the way since the last weighed scan."""

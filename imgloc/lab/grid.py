@@ -218,7 +218,10 @@ class GridFilter(ScannedFilter):
         self._sparse()
         self._lasers.place()
 
-    def move(self, increment: FloatArray, covariance: FloatArray | None = None) -> None:  # noqa: ARG002
+    def move(
+        self, increment: FloatArray,
+        covariance: FloatArray | None = None, *, known: bool = True,  # noqa: ARG002
+    ) -> None:  # fmt: skip
         """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
         if not np.any(increment):
             return

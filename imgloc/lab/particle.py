@@ -157,7 +157,10 @@ class ParticleFilter(ScannedFilter):
         self.weights = np.full(len(self.poses), 1 / len(self.poses))
         self._lasers.place()
 
-    def move(self, increment: FloatArray, covariance: FloatArray | None = None) -> None:  # noqa: ARG002
+    def move(
+        self, increment: FloatArray,
+        covariance: FloatArray | None = None, *, known: bool = True,  # noqa: ARG002
+    ) -> None:  # fmt: skip
         """Move the particles by a motion (3,), in the robot's earlier frame: m, m, radians."""
         self._followed.move(increment)
         self._lasers.move(way_of(increment))
