@@ -11,23 +11,28 @@ from imgloc.choice.choose import LUCK, choose, fit, log_evidence, names_of, unkn
 from imgloc.errors import ConfigError
 from imgloc.io.folders import find_maps
 from imgloc.io.maps import save_map
-from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
+from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D, Temperature
+from imgloc.numbers import number
 from imgloc.options import Options, Sensor, Trust
 from imgloc.pipeline import prepare
-from imgloc.search.background import contradiction
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 
 def made(*scores: float, log_volume: float = -10.0) -> Localization:
-    """An answer by 100 readings, each worth 1.5 nats at best, and half a nat on no map."""
+    """An answer by 100 readings, each worth 1.5 nats at best, and half a nat on no map.
+
+    The map explains 20 pieces of the scan, or none where it fits badly.
+    """
     hypotheses = tuple(Hypothesis(Pose2D(0, 0), s, 0.5, np.eye(3)) for s in scores)
     misfit = 1.5 - scores[0] / 100 if scores else np.nan
     temperature = Trust().temperature_at(misfit).value
     gained = (scores[0] - 50) / temperature if scores else np.nan
     volume = np.full(len(scores), log_volume)
-    against = contradiction(misfit, 1.0, 0.0) if scores else 0.0
-    evidence = Evidence(100, 1.5, misfit, 0.5, gained, against, log_volume=volume)
+    evidence = Evidence(
+        100, 1.5, misfit, 0.5, gained, -number("weigh.pieces") * np.log(1 + 20 * (misfit < 2)),
+        temperature=Temperature(temperature), log_volume=volume,
+    )  # fmt: skip
     return Localization(hypotheses, "unique", 0.0, 1.0, evidence=evidence)
 
 

@@ -228,7 +228,7 @@ def _more(fits: Sequence[Localization]) -> int:
         return FIRST - len(fits)
     if len(fits) >= MOST or not any(f.hypotheses for f in fits):
         return 0
-    _, temperature = _best(fits, Trust())
+    _, temperature = _best(fits)
     evidence = [log_evidence(f, temperature) for f in fits]
     return NEXT if max(evidence[-NEXT:]) >= sorted(evidence)[-3] else 0
 
@@ -248,11 +248,12 @@ def choose(
 
     Examples
     --------
-    >>> from imgloc.model import Evidence, Hypothesis, Pose2D
+    >>> from imgloc.model import Evidence, Hypothesis, Pose2D, Temperature
     >>> def made(score):
     ...     pose = Hypothesis(Pose2D(0.0, 0.0), score, 1.0, np.eye(3))
     ...     fit, volume = 1.5 - score / 100, np.array([-9.0])
-    ...     evidence = Evidence(100, 1.5, fit, gained=9.0, log_volume=volume)
+    ...     scale = Temperature(2.0)
+    ...     evidence = Evidence(100, 1.5, fit, gained=19.0, temperature=scale, log_volume=volume)
     ...     return Localization((pose,), "unique", 0.0, 1.0, evidence=evidence)
     >>> choose({"cellar": made(-150.0), "attic": made(140.0)}).verdict
     'attic'
@@ -268,7 +269,7 @@ def choose(
         return Choice("invalid", blank, unknown, {}, trust.temperature, ruled_out)
     if not any(f.hypotheses for f in fits.values()):
         return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature, ruled_out)
-    best, temperature = _best(fits.values(), trust)
+    best, temperature = _best(fits.values())
     said = best.evidence
     evidence = {name: log_evidence(f, temperature) for name, f in fits.items()}
     top = max(evidence.values())
@@ -289,10 +290,10 @@ def choose(
     return Choice(verdict, probability, none, relative, temperature, ruled_out)
 
 
-def _best(fits: Iterable[Localization], trust: Trust) -> tuple[Localization, float]:
+def _best(fits: Iterable[Localization]) -> tuple[Localization, float]:
     """The answer that fits best among those with a pose, and its temperature."""
     best = min((f for f in fits if f.hypotheses), key=lambda f: f.evidence.misfit)
-    return best, trust.temperature_at(best.evidence.misfit, best.evidence.readings).value
+    return best, best.evidence.temperature.value
 
 
 def log_evidence(answer: Localization, temperature: float) -> float:
