@@ -553,13 +553,16 @@ class Evidence(ByContent):
     best: float = math.nan  #: log-likelihood of a reading that fits perfectly, nats
     #: nats per reading that the best pose lacks against a perfect fit; NaN without a pose
     misfit: float = math.nan
-    #: nats per reading that a building on no map would reach, from the best empty room
+    #: nats per reading that a building on no map would reach: the best empty room, with things of
+    #: their own in it
     unmapped: float = math.nan
     #: nats, divided by the temperature, by which the best pose beats `unmapped`
     gained: float = math.nan
-    #: nats against the best pose: map and scan disagree, the scan shows nothing but an empty room,
-    #: neighbouring readings pass through a wall, or it fits only with an error that was found
+    #: nats against the best pose: pieces of the scan are `through` rather than `mapped`, or it fits
+    #: only with an error that was found; below 0 if more is for it
     against: float = 0.0
+    mapped: int = 0  #: pieces of the scan that are rather what the map has there
+    through: int = 0  #: pieces of the scan that pass through a mapped wall
     #: factor on the readings with which they fit far better; 1 if none was needed
     scale: float = 1.0
     #: metres taken off each side of the walls, because the readings fit far better so; else 0
@@ -567,11 +570,8 @@ class Evidence(ByContent):
     #: standard deviation, metres, of the place of each piece of wall, as others drew it; else 0
     bent: float = 0.0
     floor: Floor | None = None  #: left out, because the other readings fit far better without it
-    #: divisor of log-likelihoods, of what they are compared with, and with `doubt` of masses
+    #: divisor of log-likelihoods, and of what they are compared with
     temperature: Temperature = field(default_factory=Temperature)
-    #: factor on the temperature where places are compared: above 1 if map and scan disagree,
-    #: because the errors of a map are not the same at two places
-    doubt: float = 1.0
     #: (L,) logarithm of the volume of each listed hypothesis, as a share of that of all poses
     log_volume: FloatArray = field(default_factory=lambda: np.empty(0))
     #: checks of the verdict in their order, up to the first that does not hold, which decided; if
@@ -678,8 +678,8 @@ class Localization(ByContent):
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
         evidence |= {name: getattr(t, name) for name in ("base", "strain", "number", "cell")}
         rest = (
-            "doubt", "unmapped", "gained", "against", "scale", "thinner", "bent", "found", "listed",
-            "unlisted",
+            "unmapped", "gained", "against", "mapped", "through", "scale", "thinner", "bent",
+            "found", "listed", "unlisted",
         )  # fmt: skip
         evidence |= {name: getattr(e, name) for name in rest}
         floor = Floor(math.nan, math.nan, 0.0) if e.floor is None else e.floor

@@ -134,8 +134,8 @@ def test_the_numbers_are_those_of_the_answer(method) -> None:
         answer.elsewhere
     )
     assert answer.evidence.misfit == pytest.approx(
-        options.fused.model.best - why.fits[0].per_reading
-    )
+        options.fused.model.best - why.fits[0].per_reading, abs=5e-3
+    )  # of the best maximum of a mode, which stands at the mean of them
     assert answer.evidence.readings == 120
     if method == "fused":
         gap = [h.log_likelihood for h in answer.hypotheses]

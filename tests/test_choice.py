@@ -12,24 +12,27 @@ from imgloc.errors import ConfigError
 from imgloc.io.folders import find_maps
 from imgloc.io.maps import load_map, save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
+from imgloc.numbers import number
 from imgloc.options import Options, Sensor, Trust
 from imgloc.pipeline import prepare
-from imgloc.search.background import contradiction
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 
 def made(*scores: float, log_volume: float = -10.0) -> Localization:
-    """An answer by 100 readings, each worth 1.5 nats at best, and half a nat on no map."""
+    """An answer by 100 readings, each worth 1.5 nats at best, and half a nat on no map.
+
+    The map explains 20 pieces of the scan, or none where it fits badly.
+    """
     hypotheses = tuple(Hypothesis(Pose2D(0, 0), s, 0.5, np.eye(3)) for s in scores)
     misfit = 1.5 - scores[0] / 100 if scores else np.nan
     temperature = Trust().temperature_at(misfit)
     gained = (scores[0] - 50) / temperature.value if scores else np.nan
     volume = np.full(len(scores), log_volume)
-    against = contradiction(misfit, 1.0, 0.0) if scores else 0.0
     evidence = Evidence(
-        100, 1.5, misfit, 0.5, gained, against, log_volume=volume, temperature=temperature
-    )
+        100, 1.5, misfit, 0.5, gained, -number("weigh.pieces") * np.log(1 + 20 * (misfit < 2)),
+        temperature=temperature, log_volume=volume,
+    )  # fmt: skip
     return Localization(hypotheses, "unique", 0.0, 1.0, evidence=evidence)
 
 
@@ -74,7 +77,7 @@ def test_the_better_fit_is_named_and_a_bad_one_is_none() -> None:
 
 
 def test_a_map_is_not_named_for_fitting_by_chance() -> None:
-    chance = {"a": made(50.0), "b": made(20.0), "c": made(20.0)}  # 1 nat per reading is missing
+    chance = {"a": made(50.0), "b": made(30.0), "c": made(30.0)}  # 1 nat per reading is missing
     assert choose({"a": chance["a"], "b": chance["b"]}).verdict == "a"  # two say nothing of chance
     choice = choose(chance)
     assert choice.verdict == "none"

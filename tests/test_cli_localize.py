@@ -107,9 +107,9 @@ def test_the_evidence_is_in_the_json_and_in_the_text(scans: Path) -> None:
     (answer,) = rows(call(*words, "--json").out)
     evidence = answer["evidence"]
     assert list(evidence) == [
-        "readings", "misfit", "temperature", "base", "strain", "number", "cell", "doubt",
-        "unmapped", "gained", "against", "scale", "thinner", "bent", "found", "listed", "unlisted",
-        "floor", "floor_distance", "floor_direction",
+        "readings", "misfit", "temperature", "base", "strain", "number", "cell",
+        "unmapped", "gained", "against", "mapped", "through", "scale", "thinner",
+        "bent", "found", "listed", "unlisted", "floor", "floor_distance", "floor_direction",
     ]  # fmt: skip
     t = (evidence["base"] + evidence["strain"]) * evidence["number"] * evidence["cell"]
     assert evidence["temperature"] == pytest.approx(t)

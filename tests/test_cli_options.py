@@ -50,9 +50,9 @@ def test_near_excludes_the_twins(scans: Path, plain: dict) -> None:
     told = first(scans, "--near", "2.5,1.5,-1.7")
     assert plain["hypotheses"][1]["mass"] > 0.1
     assert sum(h["mass"] for h in told["hypotheses"][1:]) < 0.01
-    assert told["hypotheses"][0]["mass"] > 5 * plain["hypotheses"][0]["mass"]
+    assert told["hypotheses"][0]["mass"] > 3 * plain["hypotheses"][0]["mass"]
     # A bare room, as this scan shows, may still be on no map.
-    assert told["verdict"] == "ambiguous"
+    assert told["elsewhere"] > 0.05
     assert away(told, scans) < 0.1
     assert told["parameters"]["prior"]["near"] == {
         "x": 2.5, "y": 1.5, "theta": -1.7, "radius": 2.0, "tolerance": 0.8,

@@ -108,7 +108,7 @@ def test_each_constant_that_is_left_in_the_code_has_a_reason() -> None:
 def test_numbers_are_in_si_units() -> None:
     assert NUMBERS["refine.step"].value == (0.1, 0.1, pytest.approx(0.0349066), 0.02)
     assert isinstance(NUMBERS["Trust.readings"].value, int)
-    assert origin("Trust.temperature").by.startswith("python -m tools.trust fit")
+    assert origin("Trust.temperature").by.startswith("chosen by a random search")
 
 
 @pytest.mark.parametrize(

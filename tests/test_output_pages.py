@@ -296,14 +296,14 @@ def test_the_temperature_on_the_page_is_the_product_of_its_terms(why, cell) -> N
     page = render_explanation(replace(why, answer=replace(why.answer, evidence=evidence)), "x")
     number = r"([\d.]+)"
     found = re.search(
-        rf"Temperature {number} = \({number} \+ {number} × misfit\)"
-        rf" × {number} \(√ of readings / 100\) × {number} \(cells of the map\)",
+        rf"Temperature {number} = \({number} \+ {number} × {number} that these lack\)"
+        rf" × {number} \(readings / 100\) × {number} \(cells of the map\)",
         Page(page).text,
     )
-    value, base, strain, many, factor = map(float, found.groups())
+    value, base, strain, lacks, many, factor = map(float, found.groups())
     assert factor == (cell or 1.0)  # that of this scan is 1
     assert value == pytest.approx(evidence.temperature.value, abs=0.006)
-    assert (base + strain * evidence.misfit) * many * factor == pytest.approx(value, abs=0.006)
+    assert (base + strain * lacks) * many * factor == pytest.approx(value, abs=0.006)
     if not cell:  # and it is what the masses were made with
         best, second = (fit.hypothesis for fit in why.fits[:2])
         margin = best.log_likelihood - second.log_likelihood

@@ -86,7 +86,7 @@ def test_walls_that_others_drew_are_taken_for_bent_by_one_scan():
         answer, plain = (localize(drawn, scan, o) for o in (Options(), AS_IT_IS))
         assert (answer.evidence.thinner, answer.evidence.bent) == pytest.approx((0.1, 0.1))
         assert answer.verdict == "unique"
-        assert plain.verdict != "unique"
+        assert plain.hypotheses[0].mass < answer.hypotheses[0].mass
         assert away(answer, pose) < 0.45  # blocks of wall are 0.2 m off, and walls 0.2 m too thick
         words = "allows for walls 0.10 m thinner on each side and pieces of wall 0.10 m off"
         assert words in answer_text("scan", answer)
@@ -304,7 +304,7 @@ def test_explanations_and_words_allow_for_it():
     answer = localize(thick_features(), scan)
     why = explain(thick_features(), scan, answer)
     best = answer.evidence.best - answer.evidence.misfit
-    assert why.fits[0].per_reading == pytest.approx(best)
+    assert why.fits[0].per_reading == pytest.approx(best, abs=5e-3)  # at the mean of its maxima
     assert why.fits[0].rays.counts["agrees"] > 0.8 * scan.valid.sum()
     assert "fits far better with walls 0.20 m thinner" in answer_text("scan 0", answer)
     far = scan.scaled(0.95)

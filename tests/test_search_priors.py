@@ -184,12 +184,12 @@ def test_a_prior_makes_a_twin_impossible(visibility):
     known = Prior(near(features.grid.info, x, y, 2.0), (float(theta), 0.8), {"near": [x, y]})
     told = localize(features, scans[0], Options(prior=known))
     best, *others = told.hypotheses
-    assert best.mass > 5 * free.hypotheses[0].mass
+    assert best.mass > 3 * free.hypotheses[0].mass
     assert sum(h.mass for h in others) < 0.01
     assert told.parameters["prior"] == {"near": [x, y]}
     assert np.hypot(best.pose.x - x, best.pose.y - y) < 0.1
     # What is left is that the scan shows nothing but a room, and that may be on no map.
-    assert told.verdict == "ambiguous"
+    assert told.elsewhere > 0.05
     assert told.evidence.gained < 0
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings
 from imgloc.model import OccupancyGrid
+from imgloc.numbers import number
 from imgloc.options import Bending, EvidenceModel, FusedOptions, Options, Shared
 from imgloc.search.refine import endpoints
 from imgloc.search.rescore import bent_evidence, hit_density, rescore, shortlist
@@ -101,8 +103,8 @@ def test_the_score_equals_the_loops(seed, model):
         assert got.explained[i] == pytest.approx(sum(fits) / len(fits))
 
 
-def naive_bent(d, ranges, angles, model, shifted=None):
-    """Pieces of 20 degrees without a jump of 0.5 m; seven offsets up to two deviations."""
+def naive_pieces(ranges, angles):
+    """Indices of the readings in pieces of 20 degrees without a jump of 0.5 m."""
     order = sorted(range(len(angles)), key=lambda k: angles[k])
     pieces = [[order[0]]]
     for before, k in itertools.pairwise(order):
@@ -112,6 +114,12 @@ def naive_bent(d, ranges, angles, model, shifted=None):
             pieces[-1].append(k)
         else:
             pieces.append([k])
+    return pieces
+
+
+def naive_bent(d, ranges, angles, model, shifted=None):
+    """Seven offsets of each piece, up to two deviations."""
+    pieces = naive_pieces(ranges, angles)
     steps = [2 * (j - 3) / 3 for j in range(7)]
     chances = [math.exp(-(e**2) / 2) for e in steps]
     logs = [
@@ -326,3 +334,65 @@ def test_poses_far_behind_are_left_out_where_the_best_one_fits(ranges, kept):
     options = Options(fused=FusedOptions(behind=1.0, least_look=1))
     poses = np.array([[1.0, 1.0, 0.0], [1.2, 1.0, 0.5], [0.4, 1.0, -0.5]])
     assert len(shortlist(poses, readings, features, options)[0]) == kept
+
+
+def naive_things(told, bent, ranges, angles, model):
+    """Each piece of 20 degrees without a jump of 0.5 m is of the map or a thing of its own.
+
+    One of the map stands where the map has it, or displaced.
+    """
+    price, apart = number("rescore.price"), number("rescore.apart")
+    total = mapped = 0
+    for piece, moved in zip(naive_pieces(ranges, angles), bent, strict=True):
+        here = sum(told[k] for k in piece)
+        here = np.logaddexp(here, moved - number("rescore.displaced")[1])
+        own = len(piece) * (model.best - apart) - price
+        total += max(here, own) + math.log1p(math.exp(-abs(here - own)))
+        mapped += len(piece) > 1 and here > max(own, len(piece) * (model.best - 2.0))
+    return total, mapped
+
+
+@given(seeds)
+@settings(max_examples=12)
+def test_the_score_by_things_equals_the_loops(seed):
+    wall, poses, rng = room_with_pillars(seed)
+    angles, ranges = np.sort(rng.uniform(-3, 3, 40)), np.repeat(rng.uniform(0.5, 6, 8), 5)
+    got, model = score(wall, poses[:2], ranges, angles), EvidenceModel()
+    each = [
+        score(wall, poses[:2], [r], [a]).log_likelihood for r, a in zip(ranges, angles, strict=True)
+    ]
+    # All readings of a piece count alike here: what the bent score says of it alone.
+    displaced = replace(model, bent=number("rescore.displaced")[0], alike=1.0)
+    pieces = [np.array(piece) for piece in naive_pieces(ranges, angles)]
+    bent = [score(wall, poses[:2], ranges[p], angles[p], displaced).log_likelihood for p in pieces]
+    for i, told in enumerate(np.transpose(each)):
+        moved = [one[i] for one in bent]
+        total, mapped = naive_things(told, moved, ranges, angles, model)
+        assert got.things[i] == pytest.approx(total, abs=1e-2)
+        assert got.mapped[i] == mapped
+
+
+def test_what_hides_a_wall_costs_once():
+    """Twice as many readings on a thing that stands before a wall cost little more."""
+    model, cost = EvidenceModel(), []
+    for n in (20, 40):
+        angles = np.linspace(-0.15, 0.15, n)
+        far = 4.0 / np.cos(angles)
+        seen = (score(corridor(), POSE, r, angles) for r in (far, np.full(n, 1.5)))
+        wall, thing = (s.things[0] for s in seen)
+        cost.append(wall - thing)
+        assert cost[-1] < number("rescore.price") + n * number("rescore.apart")
+    assert cost[1] - cost[0] < 20 * number("rescore.apart")
+    assert model.best * 40 - wall < 12
+
+
+def test_pieces_that_pass_through_a_wall_are_counted_and_strays_are_not():
+    angles = np.linspace(-0.3, 0.3, 12)
+    for screened in (False, True):
+        got = score(corridor(2.5 if screened else None), POSE, 4.0 / np.cos(angles), angles)
+        assert bool(got.through[0]) == screened
+    far = 4.0 / np.cos(angles)
+    far[5] = 6.5
+    got = score(corridor(), POSE, far, angles)
+    assert got.crossed.sum() == 1
+    assert got.through[0] == 0

@@ -52,8 +52,10 @@ def _best_of_maxima(poses: Any, _: Any, best: Any, **__: Any) -> Any:
     return poses[best].copy(), np.zeros((len(best), 3, 3))
 
 
-def _no_room(*_: Any) -> float:
-    return float("-inf")
+def _no_room(xy: Any, _: Any) -> Any:
+    import numpy as np
+
+    return np.full(len(xy), -np.inf)
 
 
 def _any_number(trust: Any, misfit: float, _: int = 100, cell: float = 0.0) -> Any:
@@ -101,11 +103,9 @@ STEPS: Mapping[str, Step] = {
         "nothing is expected of an empty room", instead={"search.background.best_room": _no_room},
         weighs=True,
     ),
-    "strange": Step("a misfit is not against a place", {"background.strange": 1e-6}, weighs=True),
-    "bare": Step("a bare room is a place", {"background.bare": 0.0}, weighs=True),
-    "through": Step("doors may be anywhere", {"background.through": 0.0}, weighs=True),
+    "things": Step("nothing is a thing of its own", {"rescore.price": 1e6}, weighs=True),
+    "pieces": Step("pieces are not counted", {"weigh.pieces": 0.0}, weighs=True),
     "price": Step("what is found is free", {"adapt.against": (0.0, 0.0)}, weighs=True),
-    "doubt": Step("as sure where map and scan disagree", {"Trust.doubt": 1.0}, weighs=True),
     "strain": Step("misfit does not count", {"Trust.strain": 0.0}, weighs=True),
     "number": Step(
         "readings are not counted", instead={"options.Trust.temperature_at": _any_number},

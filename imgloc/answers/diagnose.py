@@ -193,7 +193,8 @@ def mirrored(
     A mirrored sensor fits a corridor, where both sides are alike, though walls seem to be gone.
     The parameters are those of :func:`doubts`; here most of the scans may fit as they are.
     """
-    doubtful = [k for k, answer in enumerate(said) if is_doubtful(*answer)]
+    strained = options.fused.strained
+    doubtful = [k for k, (v, e) in enumerate(said) if is_doubtful(v, e) or e.misfit >= strained]
     if not doubtful:
         return None
     misfit = float(np.median([said[k][1].misfit for k in doubtful]))

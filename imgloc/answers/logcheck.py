@@ -17,7 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.answers.diagnose import OLD, UNITS, Doubt, Given, doubts, few_readings, unit_of
+from imgloc.answers.diagnose import (
+    OLD,
+    UNITS,
+    Doubt,
+    Given,
+    doubts,
+    few_readings,
+    mirrored,
+    unit_of,
+)
 from imgloc.answers.scanmotion import (
     AGREES,
     POOR,
@@ -176,9 +185,13 @@ def on_map(
     sure = [answer.explained for answer in answers if answer.verdict == "unique"]
     facts["not_on_map"] = 1 - float(np.median(sure)) if sure else None
     said = [(answer.verdict, answer.evidence) for answer in answers]
-    known = {finding.code for finding in findings}
-    misfits = 2 * len(sure) < len(answers) and not _UNDONE & known
-    for doubt in doubts(features, some, said, options, given) if misfits else ():
+    known, causes = {finding.code for finding in findings}, list[Doubt]()
+    if not _UNDONE & known:
+        if 2 * len(sure) < len(answers):
+            causes = doubts(features, some, said, options, given)
+        elif found := mirrored(features, some, said, options, given):
+            causes = [found]
+    for doubt in causes:
         agrees = facts["agreement"]
         if doubt.code == "mirrored" and agrees is not None and agrees >= MIRRORED:
             findings.append(Finding("mirrored", MIRRORED_MAP, doubt.options))

@@ -20,10 +20,12 @@ from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
 from imgloc.pipeline import find_modes, find_modes_by_steps
+from imgloc.search.background import best_room
+from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
 from imgloc.search.refine import endpoints, refine
 from imgloc.search.rescore import score_poses
-from imgloc.search.weigh import weigh
+from imgloc.search.weigh import covariances_there
 
 _SETTLE = number("evidence.settle")  # widths of the kernel, metres
 _SETTLE_SCALED = number("evidence.settle_scaled")  # the same where the scale is free
@@ -40,6 +42,9 @@ _UNKNOWN = number("evidence.unknown")
 # Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")
 # Widths of the kernel that picks poses, metres: for the first look, and for the last one.
+# Growth of the temperature per nat of misfit, and nats per reading below a perfect fit that a scan
+# reaches by chance anywhere.
+_STRAIN, _CHANCE = number("evidence.strain"), number("evidence.chance")
 _WIDTHS = number("evidence.widths")
 
 
@@ -107,17 +112,31 @@ def sight(
     order = np.argsort(-scores.log_likelihood, kind="stable")
     wider = None if spread is None else spread[order]
     modes = Modes(at[order], scores.select(order), seen, spread=wider)
-    found = weigh(features, modes, options, settle=False)
-    back = np.argsort(order, kind="stable")
-    score = found.log_likelihood[back]
-    misfit = options.model.best - score / len(seen)
+    temperature, gained = by_readings(features, seen, scores.log_likelihood, options)
+    score = scores.log_likelihood
+    log, misfit = score / temperature, options.model.best - score / len(seen)
+    listed = options.listed(masses(log[order], 1.0))
     covariance = np.tile(np.diag(_UNKNOWN) ** 2, (len(poses), 1, 1))
-    covariance[order[: len(found.covariance)]] = found.covariance
+    covariance[order[:listed]] = covariances_there(features, modes, listed, options)
     lever = np.tile(np.eye(3), (len(poses), 1, 1))  # if the sensor turns, the robot moves
     lever[:, 0, 2], lever[:, 1, 2] = (at - poses)[:, 1], (poses - at)[:, 0]
     covariance = lever @ covariance @ lever.transpose(0, 2, 1)
-    log = score / found.evidence.temperature.value
-    return Sight(poses, log, covariance, misfit, found.evidence.gained)
+    return Sight(poses, log, covariance, misfit, gained)
+
+
+def by_readings(
+    features: MapFeatures, seen: Readings, score: FloatArray, options: Options
+) -> tuple[float, float]:
+    """The temperature of scores (C,), and tempered nats by which the best beats an empty room.
+
+    Along the way each reading counts by itself: a component that has drifted from its place fits no
+    piece of the scan, and is at its place nevertheless.
+    """
+    n, model, trust, best = len(seen), options.model, options.trust, float(score.max())
+    temperature = trust.temperature + _STRAIN * max(0.0, model.best - best / n)
+    temperature *= np.sqrt(n / 100) * max(1.0, features.grid.resolution / trust.fine)
+    room = max(float(best_room(seen.xy, model).mean()), model.best - _CHANCE)
+    return temperature, (best - n * room) / temperature
 
 
 def settled(

@@ -17,7 +17,7 @@ from imgloc.numbers import number
 from imgloc.options import SCALES, Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import endpoints, refine
-from imgloc.search.rescore import piece_evidence, pieces, rescore
+from imgloc.search.rescore import likelihoods, piece_evidence, pieces
 
 _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
@@ -215,7 +215,7 @@ def adapt(
 
     def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
         seen = readings.ranges, readings.angles, there.field, there.walls
-        return rescore(poses, *seen, options.model).log_likelihood
+        return likelihoods(poses, *seen, options.model)
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)

@@ -7,7 +7,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.geometry import wrap
-from imgloc.model import FloatArray, Floor
+from imgloc.model import FloatArray, Floor, Temperature
 from imgloc.options import Options, Shared
 from imgloc.search.hypotheses import centres, modes
 from imgloc.search.priors import stands
@@ -51,11 +51,10 @@ def separate(
     the second moments (C, 3, 3) of the maxima around these poses. A mode's pose is the mean of its
     maxima if a sensor can be there.
     """
-    fused, score = options.fused, scores.log_likelihood
+    fused, score = options.fused, scores.things
     distance, angle = fused.separation
     best = modes(poses, score, distance=distance, angle=angle)
-    misfit = misfit_of(scores, n, options)
-    tempered = score / options.trust.temperature_at(misfit, n, features.grid.resolution).value
+    tempered = score / temperature_of(scores, n, options, features.grid.resolution).value
     mean, spread = centres(poses, tempered, best, within=fused.separation, same=fused.same)
     off = np.where(stands(mean, options.prior, features)[:, None], 0, poses[best] - mean)
     off[:, 2] = wrap(off[:, 2])
@@ -64,6 +63,10 @@ def separate(
     return mean[apart], scores.select(best[apart]), spread[apart]
 
 
-def misfit_of(scores: Scores, n: int, options: Options) -> float:
-    """Misfit of the best of some scores by `n` readings, nats per reading."""
-    return options.model.best - float(scores.log_likelihood.max(initial=-np.inf)) / n
+def temperature_of(scores: Scores, n: int, options: Options, cell: float) -> Temperature:
+    """Temperature of scores by `n` readings on a map with cells of so many metres.
+
+    It depends on how far the best place disagrees with the scan, by things.
+    """
+    lacks = options.model.best - float(scores.things.max(initial=-np.inf)) / n
+    return options.trust.temperature_at(lacks, n, cell)

@@ -16,9 +16,19 @@ itself. All readings of a piece then share one offset e ~ N(0, bent), which is s
 factor o. They share further errors, so a piece of n readings counts as n^a of them, a < 1::
 
     p(piece | x) = o sum_e p(e) prod_rho (h mean_s N(d - e; 0, sigma_s) + (1 - h) / span)
+
+A changed shelf, a person, an open door is one thing that differs, however many readings fall on it.
+A wall that is drawn 10 cm off is one error. On any map a piece of the scan is what the map has
+there, or that displaced (the sum above), or a thing of its own. Its first reading pays for its
+place, and the others follow from it::
+
+    p'(piece | x) = p(piece | x) + exp(-displacement) p(displaced piece | x)
+                  + exp(n (best - apart) - price)
+
+The search looks for poses by readings. Which of them is the best, things decide.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -39,13 +49,26 @@ _OFFSETS: tuple[int, float] = number("rescore.offsets")
 # Nats that a place may be behind the best one to be as good, and how many such places are kept.
 _EQUAL: float = number("rescore.equal")
 _EQUALS: int = number("rescore.equals")
+# Nats that a thing of its own costs, and nats that each of its readings lacks against a fit.
+_PRICE, _APART = number("rescore.price"), number("rescore.apart")
+# Standard deviation, metres, of the place of a piece that is mapped elsewhere than it stands, and
+# nats that this costs.
+_DISPLACED, _DISPLACEMENT = number("rescore.displaced")
+# Neighbours that tell of a wall, by ending on it and by passing it; and nats that each of them may
+# lack, because stray readings end near some wall.
+_RUN: tuple[int, int] = number("rescore.run")
+_FITS: float = number("rescore.fits")
 
 
 @dataclass(frozen=True)
 class Scores:
     """Scores of C poses by N readings, from :func:`rescore`."""
 
-    log_likelihood: FloatArray  #: (C,) nats
+    log_likelihood: FloatArray  #: (C,) nats, each reading by itself
+    things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
+    #: (C,) number of pieces, of some readings at least, that are rather what the map has there
+    mapped: IntArray
+    through: IntArray  #: (C,) and of those most of which pass through a mapped wall
     #: (C, N) whether a reading ends nearer to a surface than twice the wider sigma
     on_surface: BoolArray
     #: (C, N) whether a reading passes through a mapped wall, which more likely than not is gone
@@ -53,7 +76,7 @@ class Scores:
 
     def select(self, index: IntArray) -> "Scores":
         """The scores of the poses at `index`."""
-        return Scores(self.log_likelihood[index], self.on_surface[index], self.crossed[index])
+        return Scores(*(getattr(self, each.name)[index] for each in fields(self)))
 
     @property
     def explained(self) -> FloatArray:
@@ -83,14 +106,83 @@ def rescore(
         Distance to the occupied cells, in cells, from
         :func:`~imgloc.features.raycast.distance_image`.
     """
+    order, parts = pieces(ranges, angles)
+    log_likelihood, told, distance, shifted = _told(
+        poses, ranges, angles, field, walls, model, order, parts
+    )
+    if not model.bent:
+        displaced = replace(model, bent=_DISPLACED)
+        bent = _bent_pieces(distance[:, order], parts, displaced, shifted[:, order])
+        told = np.logaddexp(told, bent - _DISPLACEMENT)
+    on_surface, crossed = np.abs(distance) < 2 * max(model.sigmas), shifted < model.absent
+    own, passing = things_of_their_own(parts, len(order), model), _sums(crossed[:, order], parts)
+    sizes = _sizes(parts, len(order))
+    mapped = (sizes >= _RUN[0]) & (told > np.maximum(own, sizes * (model.best - _FITS)))
+    through = (passing >= _RUN[1]) & (2 * passing > sizes)
+    # On bent walls all pieces are displaced or gone already.
+    things = log_likelihood if model.bent else np.logaddexp(told, own).sum(axis=1)
+    return Scores(
+        log_likelihood, things, mapped.sum(axis=1), through.sum(axis=1), on_surface, crossed
+    )
+
+
+def likelihoods(
+    poses: FloatArray,
+    ranges: FloatArray,
+    angles: FloatArray,
+    field: DistanceField,
+    walls: Float32Array,
+    model: EvidenceModel,
+) -> FloatArray:
+    """Log-likelihoods (C,) of readings at poses, nats, without things: see :func:`rescore`."""
+    parts = pieces(ranges, angles)
+    return _told(poses, ranges, angles, field, walls, model, *parts)[0]
+
+
+def _told(
+    poses: FloatArray,
+    ranges: FloatArray,
+    angles: FloatArray,
+    field: DistanceField,
+    walls: Float32Array,
+    model: EvidenceModel,
+    order: IntArray,
+    parts: IntArray,
+) -> tuple[FloatArray, FloatArray, Float32Array, Float32Array]:
+    """Log-densities (C,) of all readings and (C, P) of each piece, nats.
+
+    Then the distances (C, N) of the endpoints from a surface, metres, and the chance (C, N) that
+    the wall that a reading passes is displaced.
+    """
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
     shifted = _shifted(poses, ranges, angles, walls, field.resolution, model)
     if model.bent:
-        log_likelihood = bent_evidence(distance, ranges, angles, model, shifted)
-    else:
-        log_likelihood = _passing(density, shifted, model).sum(axis=1, dtype=np.float64)
-    on_surface = np.abs(distance) < 2 * max(model.sigmas)
-    return Scores(log_likelihood, on_surface, shifted < model.absent)
+        told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
+        return told @ _counts(parts, len(order), model), told, distance, shifted
+    each = _passing(density, shifted, model)
+    total = np.asarray(each.sum(axis=1, dtype=np.float64))
+    return total, _sums(each[:, order], parts), distance, shifted
+
+
+def things_of_their_own(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:
+    """Log-density (P,) of pieces of `n` readings that are on no map, nats; see :func:`pieces`."""
+    return np.asarray(_sizes(parts, n) * (model.best - _APART) - _PRICE)
+
+
+def _sizes(parts: IntArray, n: int) -> IntArray:
+    return np.diff(np.append(parts, n))
+
+
+def _sums(each: BoolArray | Float32Array, parts: IntArray) -> FloatArray:
+    """Sums (C, P) over the readings of each piece."""
+    return np.add.reduceat(each, parts, axis=1, dtype=np.float64)
+
+
+def _counts(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:
+    """Weights (P,) of pieces of a bent wall: together all readings count as many as they are."""
+    sizes = _sizes(parts, n)
+    weight = sizes ** (model.alike - 1.0)
+    return np.asarray(weight * (n / (sizes @ weight)))
 
 
 def _passing(density: Float32Array, shifted: Float32Array, model: EvidenceModel) -> Float32Array:
@@ -184,15 +276,19 @@ def bent_evidence(
     True
     """
     order, parts = pieces(ranges, angles)
-    told = piece_evidence(distance[:, order], parts, model)
     if shifted is None:
-        return np.asarray(told.sum(axis=1))
-    stands = np.log(np.maximum(shifted[:, order], np.finfo(np.float32).tiny))
-    whole = np.exp(np.add.reduceat(stands, parts, axis=1, dtype=np.float64))
-    kept = model.absent + (1 - model.absent) * whole
-    sizes = np.diff(np.append(parts, len(order)))
-    weight = sizes ** (model.alike - 1.0)  # together all readings count as many as they are
-    return np.asarray((told + np.log(kept)) @ weight * (len(order) / (sizes @ weight)))
+        return np.asarray(piece_evidence(distance[:, order], parts, model).sum(axis=1))
+    told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
+    return np.asarray(told @ _counts(parts, len(order), model))
+
+
+def _bent_pieces(
+    distance: Float32Array, parts: IntArray, model: EvidenceModel, shifted: Float32Array
+) -> FloatArray:
+    """Log-density (C, P) of pieces of bent wall, each of which is displaced or gone, nats."""
+    stands = np.log(np.maximum(shifted, np.finfo(np.float32).tiny))
+    kept = model.absent + (1 - model.absent) * np.exp(_sums(stands, parts))
+    return np.asarray(piece_evidence(distance, parts, model) + np.log(kept))
 
 
 def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray]:
@@ -243,7 +339,7 @@ def shortlist(
     ends = np.log(density).sum(axis=1, dtype=np.float64)
     order = np.argsort(-ends, kind="stable")
     poses = poses[np.sort(order[first_in_cell(poses[order], *fused.same)])]
-    score = rescore(poses, ranges, angles, field, features.walls, model).log_likelihood
+    score = likelihoods(poses, ranges, angles, field, features.walls, model)
     # Of places that are as good as the best one none is left out, else their masses are chance.
     equal = int(np.count_nonzero(score >= score.max(initial=-np.inf) - _EQUAL))
     places = max(fused.second_look, min(equal, _EQUALS))

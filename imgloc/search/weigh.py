@@ -1,16 +1,17 @@
 """Shares and covariances of separated, scored poses, and how well the best one fits."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.model import BoolArray, Evidence, FloatArray, Floor, LaserScan
+from imgloc.model import Evidence, FloatArray, Floor, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.search.adapt import price
-from imgloc.search.background import contradiction, unmapped_score
+from imgloc.search.background import unmapped_score
 from imgloc.search.faces import depth_of, on_faces
 from imgloc.search.hypotheses import (
     BLOCKS,
@@ -18,7 +19,7 @@ from imgloc.search.hypotheses import (
     covariances_from,
     masses,
 )
-from imgloc.search.modes import Modes, misfit_of
+from imgloc.search.modes import Modes, temperature_of
 from imgloc.search.priors import stands
 from imgloc.search.refine import block_sums, refine
 from imgloc.search.rescore import Scores, score_poses
@@ -31,6 +32,8 @@ _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that 
 _FROM_CELLS = number("refine.from_cells")
 MODES: int = number("pipeline.modes")
 """Least number of poses to look for, so that no verdict depends on the length of the list."""
+# Nats for a map that explains e times as many pieces of a scan: per logarithm of e.
+_PIECES = number("weigh.pieces")
 _FLOOR = number("floor.against")  # nats against a pose that is found without a floor
 
 
@@ -63,37 +66,41 @@ def weigh(
     found: Modes,
     options: Options,
     scan: LaserScan | None = None,
-    *,
-    settle: bool = True,
 ) -> Weighed:
     """Weigh the modes that the search found: their shares, covariances and evidence.
 
     The share of explained rays is computed if the `scan` is given. The listed poses are moved onto
-    the faces of the walls, unless `settle` is False.
+    the faces of the walls.
     """
     if len(found.poses) == 0:
         return nothing(options, found.complete)
     fit = evidence_with(features, found, options)
     shared, explained, options = found.shared, 0.0, replace(options, shared=found.shared)
     there = features.thinner(shared.thinner)
-    score = found.scores.log_likelihood
-    share = masses(score, fit.temperature.value * fit.doubt)
+    score = found.scores.things
+    share = masses(score, fit.temperature.value)
     lead = float(share[0])
     listed = options.listed(share)
     poses = found.poses.copy()
-    if settle and not shared.bent:
-        poses[:listed], covariance = stand_on_faces(there, found, poses[:listed], options)
+    if shared.bent:
+        covariance = covariances_there(there, found, listed, options)
     else:
-        sigma = 2 * min(options.model.sigmas)
-        covariance = covariances_of(there, poses[:listed], found.readings.xy, options, sigma)
-        if found.spread is not None:
-            covariance = covariance + _MAXIMA * found.spread[:listed]
+        poses[:listed], covariance = stand_on_faces(there, found, poses[:listed], options)
     if scan is not None:
         lever = float(np.sqrt(np.mean(np.square(found.readings.ranges))))
         covariance = covariance + swept(scan.duration, lever, options)
         explained = explained_rays(features, scan, poses[:1], options, shared)
     whole = found.complete
     return Weighed(poses, score, share, covariance, fit, explained, lead, complete=whole)
+
+
+def covariances_there(
+    features: MapFeatures, found: Modes, listed: int, options: Options
+) -> FloatArray:
+    """Covariances (L, 3, 3) of the first modes, `listed` of them, at the poses that they have."""
+    sigma = 2 * min(options.model.sigmas)
+    out = covariances_of(features, found.poses[:listed], found.readings.xy, options, sigma)
+    return out if found.spread is None else out + _MAXIMA * found.spread[:listed]
 
 
 def swept(duration: float, lever: float, options: Options) -> FloatArray:
@@ -154,33 +161,17 @@ def evidence_of(
 ) -> Evidence:
     """How well the best of some poses fits, by readings from which a `floor` was left out."""
     n, model = len(readings), options.model
-    misfit = misfit_of(scores, n, options)
-    temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
-    unmapped = unmapped_score(readings.xy, model)
-    gained = (model.best - misfit - unmapped) * n / temperature.value
-    best = int(np.argmax(scores.log_likelihood))
-    through = longest_run(scores.crossed[best][np.argsort(readings.angles, kind="stable")]) / n
-    against = contradiction(misfit - options.shared.usual, model.best - unmapped, through)
+    temperature = temperature_of(scores, n, options, features.grid.resolution)
+    unmapped, best = unmapped_score(readings, model), int(np.argmax(scores.things))
+    gained = (float(scores.things[best]) - unmapped * n) / temperature.value
+    mapped, through = int(scores.mapped[best]), int(scores.through[best])
+    against = _PIECES * math.log((1 + through) / (1 + mapped))
     if floor is not None:  # what may be left out fits more places
         against += _FLOOR
-    strained = misfit - options.shared.usual > options.fused.strained
-    doubt = options.trust.doubt if strained else 1.0
     return Evidence(
-        n, model.best, misfit, unmapped, gained, against, temperature=temperature, doubt=doubt,
-        floor=floor,
+        n, model.best, model.best - float(scores.log_likelihood[best]) / n, unmapped, gained,
+        against, temperature=temperature, mapped=mapped, through=through, floor=floor,
     )  # fmt: skip
-
-
-def longest_run(yes: BoolArray) -> int:
-    """Length of the longest run of True in an array (N,).
-
-    Examples
-    --------
-    >>> longest_run(np.array([True, False, True, True, False])), longest_run(np.zeros(3, bool))
-    (2, 0)
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], yes, [False]))))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def covariances_of(

@@ -12,7 +12,7 @@ from imgloc.geometry import pose_errors, transform_poses, wrap
 from imgloc.model import FloatArray
 from imgloc.pipeline import find_adapted_modes, prepare
 from imgloc.search.hypotheses import masses
-from imgloc.search.modes import misfit_of
+from imgloc.search.modes import temperature_of
 from tools.script import table_lines
 from tools.trust.disturb import SCANS
 from tools.trust.exhaustive import exhaustive
@@ -43,11 +43,10 @@ def compared(condition: str, features: MapFeatures, scan: LaserScan, pose: Float
     search = find_adapted_modes(features, scan, options)
     found, wider = search.poses, exhaustive(features, left_out(scan, search.floor), SEARCH)
     n, cell = len(wider.readings), features.grid.resolution
-    misfit, score = misfit_of(wider.scores, n, options), wider.scores.log_likelihood
-    doubt = options.trust.doubt if misfit > SEARCH.strained else 1.0
-    share = masses(score, options.trust.temperature_at(misfit, n, cell).value * doubt)
+    score = wider.scores.things
+    share = masses(score, temperature_of(wider.scores, n, options, cell).value)
     lacks = ~listed(wider.poses, found, SEARCH.separation)
-    fifth = search.scores.log_likelihood[:_FIFTH].min(initial=np.inf)
+    fifth = search.scores.things[:_FIFTH].min(initial=np.inf)
     above = np.any(lacks & (score > fifth + _CLEAR) & (share > _COUNTS))
 
     def is_right(poses: FloatArray) -> bool:

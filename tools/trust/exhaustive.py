@@ -91,7 +91,7 @@ def joined(a: Modes, b: Modes, options: FusedOptions) -> Modes:
         *(np.concatenate([getattr(m.scores, f.name) for m in (a, b)]) for f in fields(Scores))
     )
     distance, angle = options.separation
-    best = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
+    best = modes(poses, scores.things, distance=distance, angle=angle)
     return Modes(poses[best], scores.select(best), a.readings, a.complete and b.complete)
 
 

@@ -49,11 +49,10 @@ class Case:
     score: FloatArray  #: (M,) of the modes, nats, best first
     right: BoolArray  #: (M,) which are the true place; none if the scan is of another one
     readings: int
-    misfit: float
+    misfit: float  #: of the best mode by things, nats per reading
     gap: float  #: nats per reading by which the best mode beats a building on no map
     cell: float  #: of the map, metres
-    against: float = 0.0  #: nats that contradict the best mode
-    doubt: float = 1.0  #: factor on the temperature, because map and scan disagree
+    against: float = 0.0  #: nats against the best mode, but for `gap`
 
     def net(self, temperature: float) -> float:
         """Nats for the best mode, as :attr:`imgloc.model.Evidence.net`."""
@@ -89,15 +88,16 @@ def case_of(
     found = find_adapted_modes(features, scan, options)
     if len(found.poses) == 0:
         return None
-    score, n = found.scores.log_likelihood[:MODES], len(found.readings)
+    score, n = found.scores.things[:MODES], len(found.readings)
     right = np.zeros(len(score), bool)
     if pose is not None:
         there = transform_poses(features.grid.origin, found.poses[:MODES])
         right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
     fit = evidence_with(features, found, options)
-    gap, cell = fit.best - fit.misfit - fit.unmapped, features.grid.resolution
-    doubt, against = fit.doubt, fit.against
-    return Case(building, condition, score, right, n, fit.misfit, gap, cell, against, doubt)
+    gap, cell = float(score[0]) / n - fit.unmapped, features.grid.resolution
+    against = gap * n / fit.temperature.value - fit.net
+    misfit = fit.best - float(score[0]) / n
+    return Case(building, condition, score, right, n, misfit, gap, cell, against)
 
 
 def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
@@ -256,7 +256,7 @@ def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
     rows = []
     for c in cases:
         T = _temperature(c, scale * (1, MARGIN))
-        rows.append((1.0, np.clip(c.net(T), -most, most), 1 - masses(c.score, T * c.doubt)[0]))
+        rows.append((1.0, np.clip(c.net(T), -most, most), 1 - masses(c.score, T)[0]))
     return np.array(rows)
 
 
@@ -295,7 +295,7 @@ def conditions_table(cases: Sequence[Case], trust: Trust) -> str:
 
 def _judged(case: Case, trust: Trust) -> Judged:
     T = trust.temperature_at(case.misfit, case.readings, case.cell).value
-    mass = masses(case.score, T * case.doubt)
+    mass = masses(case.score, T)
     elsewhere = trust.mass_elsewhere(case.net(T), float(mass[0]))
     mass = mass * (1 - elsewhere)
     verdict = judge(trust.readings, mass, elsewhere, trust)[0]

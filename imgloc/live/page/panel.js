@@ -101,7 +101,7 @@ function comparison() {
   if (!best || answer.index !== index || fit.of !== scan) return "";
   if (answer.parameters?.method !== "fused" || chosen === 0) return "";
   const nats = fit.log_likelihood - best.log_likelihood;
-  const worth = Math.exp(Math.min(50, Math.abs(nats) / (answer.evidence.temperature * answer.evidence.doubt)));
+  const worth = Math.exp(Math.min(50, Math.abs(nats) / answer.evidence.temperature));
   const times = worth < 1.05 ? "as likely as" : `${worth < 1000 ? worth.toPrecision(2) : "more than 1000"} times ${nats < 0 ? "less" : "more"} likely than`;
   return `${fixed(nats, 1)} nats against hypothesis 1: ${times} it.`;
 }
