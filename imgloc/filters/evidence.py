@@ -24,7 +24,7 @@ from imgloc.search.background import best_room
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
 from imgloc.search.refine import endpoints, refine
-from imgloc.search.rescore import score_poses
+from imgloc.search.rescore import score_readings
 from imgloc.search.weigh import covariances_there
 
 _SETTLE = number("evidence.settle")  # widths of the kernel, metres
@@ -41,10 +41,11 @@ _CLOSER = number("evidence.closer")  # poses of a first look that are refined
 _UNKNOWN = number("evidence.unknown")
 # Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")
+# Temperature of 100 readings that fit, and its growth per nat of misfit.
+_TEMPERATURE, _STRAIN = number("evidence.temperature")
+# Nats per reading below a perfect fit that a scan reaches by chance anywhere.
+_CHANCE: float = number("evidence.chance")
 # Widths of the kernel that picks poses, metres: for the first look, and for the last one.
-# Growth of the temperature per nat of misfit, and nats per reading below a perfect fit that a scan
-# reaches by chance anywhere.
-_STRAIN, _CHANCE = number("evidence.strain"), number("evidence.chance")
 _WIDTHS = number("evidence.widths")
 
 
@@ -108,16 +109,14 @@ def sight(
     `spread` (C, 3, 3) has second moments in m², m rad and rad² that widen the covariances.
     """
     seen, at = view.readings, view.sensor(poses)
-    scores = score_poses(features, seen, at, options)
-    order = np.argsort(-scores.log_likelihood, kind="stable")
-    wider = None if spread is None else spread[order]
-    modes = Modes(at[order], scores.select(order), seen, spread=wider)
-    temperature, gained = by_readings(features, seen, scores.log_likelihood, options)
-    score = scores.log_likelihood
+    score = score_readings(features, seen, at, options)
+    temperature, gained = by_readings(features, seen, score, options)
     log, misfit = score / temperature, options.model.best - score / len(seen)
-    listed = options.listed(masses(log[order], 1.0))
+    order = np.argsort(-score, kind="stable")
+    listed = order[: options.listed(masses(log[order], 1.0))]
     covariance = np.tile(np.diag(_UNKNOWN) ** 2, (len(poses), 1, 1))
-    covariance[order[:listed]] = covariances_there(features, modes, listed, options)
+    wider = None if spread is None else spread[listed]
+    covariance[listed] = covariances_there(features, at[listed], seen, options, wider)
     lever = np.tile(np.eye(3), (len(poses), 1, 1))  # if the sensor turns, the robot moves
     lever[:, 0, 2], lever[:, 1, 2] = (at - poses)[:, 1], (poses - at)[:, 0]
     covariance = lever @ covariance @ lever.transpose(0, 2, 1)
@@ -133,7 +132,7 @@ def by_readings(
     piece of the scan, and is at its place nevertheless.
     """
     n, model, trust, best = len(seen), options.model, options.trust, float(score.max())
-    temperature = trust.temperature + _STRAIN * max(0.0, model.best - best / n)
+    temperature = _TEMPERATURE + _STRAIN * max(0.0, model.best - best / n)
     temperature *= np.sqrt(n / 100) * max(1.0, features.grid.resolution / trust.fine)
     room = max(float(best_room(seen.xy, model).mean()), model.best - _CHANCE)
     return temperature, (best - n * room) / temperature
@@ -236,8 +235,8 @@ def _places(found: Modes) -> Places:
 
 def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
     """Least misfit of poses (C, 3) of the robot without moving them, nats per reading."""
-    scores = score_poses(features, view.readings, view.sensor(poses), options)
-    return options.model.best - float(scores.log_likelihood.max()) / len(view.readings)
+    score = score_readings(features, view.readings, view.sensor(poses), options)
+    return options.model.best - float(score.max()) / len(view.readings)
 
 
 def misfit_near(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
@@ -253,6 +252,6 @@ def stretched(
     poses = np.column_stack((same, _SCALES))
     poses = refine(poses, view.readings.xy, features.field, sigmas=_SETTLE_SCALED)
     poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
-    score = score_poses(features, view.readings, poses, options).log_likelihood
+    score = score_readings(features, view.readings, poses, options)
     best = 1 + int(np.argmax(score[1:]))
     return float(poses[best, 3]), float(score[best] - score[0])

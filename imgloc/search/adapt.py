@@ -17,7 +17,7 @@ from imgloc.numbers import number
 from imgloc.options import SCALES, Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import endpoints, refine
-from imgloc.search.rescore import likelihoods, piece_evidence, pieces
+from imgloc.search.rescore import piece_evidence, pieces, score_readings
 
 _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
@@ -214,8 +214,7 @@ def adapt(
     count, readings = len(readings), readings.spread(_READINGS)
 
     def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
-        seen = readings.ranges, readings.angles, there.field, there.walls
-        return likelihoods(poses, *seen, options.model)
+        return score_readings(there, readings, poses, options)
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)

@@ -126,17 +126,12 @@ def rescore(
     )
 
 
-def likelihoods(
-    poses: FloatArray,
-    ranges: FloatArray,
-    angles: FloatArray,
-    field: DistanceField,
-    walls: Float32Array,
-    model: EvidenceModel,
+def score_readings(
+    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
 ) -> FloatArray:
-    """Log-likelihoods (C,) of readings at poses, nats, without things: see :func:`rescore`."""
-    parts = pieces(ranges, angles)
-    return _told(poses, ranges, angles, field, walls, model, *parts)[0]
+    """Log-likelihoods (C,) of :func:`score_poses`, nats, without the things."""
+    about = readings.ranges, readings.angles, features.field, features.walls, options.model
+    return _told(poses, *about, *pieces(readings.ranges, readings.angles))[0]
 
 
 def _told(
@@ -339,7 +334,7 @@ def shortlist(
     ends = np.log(density).sum(axis=1, dtype=np.float64)
     order = np.argsort(-ends, kind="stable")
     poses = poses[np.sort(order[first_in_cell(poses[order], *fused.same)])]
-    score = likelihoods(poses, ranges, angles, field, features.walls, model)
+    score = score_readings(features, readings, poses, options)
     # Of places that are as good as the best one none is left out, else their masses are chance.
     equal = int(np.count_nonzero(score >= score.max(initial=-np.inf) - _EQUAL))
     places = max(fused.second_look, min(equal, _EQUALS))

@@ -83,7 +83,7 @@ def weigh(
     listed = options.listed(share)
     poses = found.poses.copy()
     if shared.bent:
-        covariance = covariances_there(there, found, listed, options)
+        covariance = covariances_there(there, poses[:listed], found.readings, options, found.spread)
     else:
         poses[:listed], covariance = stand_on_faces(there, found, poses[:listed], options)
     if scan is not None:
@@ -95,12 +95,19 @@ def weigh(
 
 
 def covariances_there(
-    features: MapFeatures, found: Modes, listed: int, options: Options
+    features: MapFeatures,
+    poses: FloatArray,
+    readings: Readings,
+    options: Options,
+    spread: FloatArray | None = None,
 ) -> FloatArray:
-    """Covariances (L, 3, 3) of the first modes, `listed` of them, at the poses that they have."""
+    """Covariances (L, 3, 3) of poses (L, 3), grid frame, at the places that they have.
+
+    `spread` has the second moments of the maxima around them, of L poses at least.
+    """
     sigma = 2 * min(options.model.sigmas)
-    out = covariances_of(features, found.poses[:listed], found.readings.xy, options, sigma)
-    return out if found.spread is None else out + _MAXIMA * found.spread[:listed]
+    out = covariances_of(features, poses, readings.xy, options, sigma)
+    return out if spread is None else out + _MAXIMA * spread[: len(poses)]
 
 
 def swept(duration: float, lever: float, options: Options) -> FloatArray:
