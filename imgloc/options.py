@@ -337,7 +337,7 @@ class Trust(Checked):
     #: fewest directions with a valid reading: a scan with fewer is ``invalid``
     readings: Annotated[int, Within(0, 1e6, "directions")] = number("Trust.readings")
     #: divisor of the evidence of 100 readings where map and scan agree perfectly: neighbours share
-    #: errors. It grows with the number of readings, because more of them tell no more.
+    #: errors. It grows with the square root of the number of readings.
     temperature: Factor = number("Trust.temperature")
     #: growth of the temperature per nat of misfit
     strain: Annotated[float, Within(0, 1e6, "per nat")] = number("Trust.strain")
@@ -365,14 +365,14 @@ class Trust(Checked):
         --------
         >>> trust = Trust(temperature=2.0, strain=10.0)
         >>> [trust.temperature_at(0.5, n).value for n in (25, 100, 400)]
-        [1.75, 7.0, 28.0]
+        [3.5, 7.0, 14.0]
         >>> trust.temperature_at(0.5, cell=0.2).value
         14.0
         """
         from imgloc.model import Temperature
 
         strain = self.strain * max(0.0, misfit)
-        number = max(1, readings) / 100
+        number = math.sqrt(max(1, readings) / 100)
         return Temperature(self.temperature, strain, number, max(1.0, cell / self.fine))
 
     def mass_elsewhere(self, evidence: float, best: float) -> float:

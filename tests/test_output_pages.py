@@ -297,7 +297,7 @@ def test_the_temperature_on_the_page_is_the_product_of_its_terms(why, cell) -> N
     number = r"([\d.]+)"
     found = re.search(
         rf"Temperature {number} = \({number} \+ {number} × {number} that these lack\)"
-        rf" × {number} \(readings / 100\) × {number} \(cells of the map\)",
+        rf" × {number} \(√ of readings / 100\) × {number} \(cells of the map\)",
         Page(page).text,
     )
     value, base, strain, lacks, many, factor = map(float, found.groups())

@@ -9,7 +9,7 @@ too thick are allowed for by the features that a filter takes.
 """
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -131,9 +131,10 @@ def by_readings(
     Along the way each reading counts by itself: a component that has drifted from its place fits no
     piece of the scan, and is at its place nevertheless.
     """
-    n, model, trust, best = len(seen), options.model, options.trust, float(score.max())
-    temperature = _TEMPERATURE + _STRAIN * max(0.0, model.best - best / n)
-    temperature *= np.sqrt(n / 100) * max(1.0, features.grid.resolution / trust.fine)
+    n, model, best = len(seen), options.model, float(score.max())
+    trust = replace(options.trust, temperature=_TEMPERATURE, strain=_STRAIN)
+    scale = trust.temperature_at(model.best - best / n, n, features.grid.resolution)
+    temperature = scale.value
     room = max(float(best_room(seen.xy, model).mean()), model.best - _CHANCE)
     return temperature, (best - n * room) / temperature
 
