@@ -55,7 +55,7 @@ from imgloc.io.scanset import (
 )
 from imgloc.io.text import open_text, unmarked
 from imgloc.io.textscans import read_jsonl, text_size
-from imgloc.model import FloatArray
+from imgloc.model import FloatArray, Pose2D
 from imgloc.options import MAX_BAD, Logs
 
 _MAX_BYTES = 16 * MAX_READINGS
@@ -70,6 +70,7 @@ def load_scans(
     height: Height | None = None,
     odom: str | None = None,
     range_max: float | None = None,
+    sensor: Pose2D | None = None,
 ) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
@@ -104,9 +105,11 @@ def load_scans(
         for none, because the scans are to tell the motion.
     range_max : float, optional
         Reach of the sensor, in the unit of the file, where that of the file cannot be: 0, or NaN.
+    sensor : Pose2D, optional
+        Where the sensor sits on the robot, in place of what the file contains.
     """
     how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
-    with stated(how):
+    with stated(how, sensor):
         return _kind(path, topic).read(path, how)
 
 

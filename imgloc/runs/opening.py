@@ -276,6 +276,7 @@ class Desk:
         recorded = load_scans(
             path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height,
             odom=files.odom, range_max=files.range_max and files.range_max / files.scale,
+            sensor=files.mount,
         )  # fmt: skip
         if files.mount is not None and len({s.laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
