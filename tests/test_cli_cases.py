@@ -38,13 +38,6 @@ def test_what_is_no_map_is_told_what_makes_one(name: str, hint: str, tmp_path: P
         assert "--resolution" not in run.err
 
 
-def test_an_address_is_no_file(tmp_path: Path) -> None:
-    run = call("localize", "s3://bucket/map.yaml", "a.npz")
-    assert (run.code, "is an address" in run.err) == (3, True)
-    run = call("localize", "curved", "https://example.org/a.npz")
-    assert (run.code, "is an address" in run.err) == (4, True)
-
-
 @pytest.mark.parametrize("head", [b"#ROSBAG V1.2\n", b"#ROSRECORD V1.1\n"])
 def test_an_old_bag_is_not_called_damaged(head: bytes, tmp_path: Path) -> None:
     (tmp_path / "a.bag").write_bytes(head + bytes(99))

@@ -42,6 +42,7 @@ from imgloc.io.files import (
     reason,
     write_bytes_atomic,
 )
+from imgloc.io.remote import local
 from imgloc.io.scanset import (
     KEYS,
     MAX_READINGS,
@@ -109,6 +110,7 @@ def load_scans(
         Where the sensor sits on the robot, in place of what the file contains.
     """
     how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
+    path = local(path)
     with stated(how, sensor):
         return _kind(path, topic).read(path, how)
 
