@@ -29,11 +29,11 @@ def rows(page: Path, head: str) -> dict[str, list[str]]:
 
 
 def figures() -> Mapping[str, str]:
-    """The blocks by name, as lines.
+    r"""The blocks by name, as lines.
 
     Examples
     --------
-    >>> "20 were wrongly called `unique`" in figures()["wrong"].replace("\\n", " ")
+    >>> "20 were wrongly called `unique`" in figures()["wrong"].replace("\n", " ")
     True
     """
     found = rows(TRUST, "condition")
@@ -41,9 +41,9 @@ def figures() -> Mapping[str, str]:
     scans, wrong = (sum(int(row[column]) for row in own.values()) for column in (0, 3))
     whole, half = own["undisturbed"], own["half the map"]
     said = (
-        f"Of {scans:,} scans of a map's own building in {len(own)} conditions (people, glass, ranges "
-        f"5 % off ...) {wrong} were\nwrongly called `unique`: {half[3]} of {half[0]} on a map that lacks "
-        f"one half, {int(whole[3]) or 'none'} of {whole[0]} without a disturbance.\n"
+        f"Of {scans:,} scans of a map's own building in {len(own)} conditions (people, glass, "
+        f"ranges 5 % off ...) {wrong} were\nwrongly called `unique`: {half[3]} of {half[0]} on a "
+        f"map that lacks one half, {int(whole[3]) or 'none'} of {whole[0]} without a disturbance.\n"
     )
     hits, others = rows(HITS, "set"), rows(HITS, "set (60 scans; problems 50)")
     about = "| set | Cartographer | imgloc | in the first 5 | median error | times a search in C: "

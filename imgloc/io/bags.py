@@ -238,7 +238,7 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
     except ImglocError:
         raise
     except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
-        why = "a length that no memory holds" if isinstance(e, MemoryError) else reason(e)
+        why = "a length beyond any memory" if isinstance(e, MemoryError) else reason(e)
         hint = f"{_SAVES.get(parts[0].suffix, 'ros2 bag reindex')} may save what is in it"
         raise ScanError(f"{name}: damaged or not a bag ({why}); record it again; {hint}") from None
 

@@ -86,7 +86,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         else:
             body.append((where, cells_of(text)))
     if not body:
-        raise ScanError(f"{name}: holds no scan, expected one per line")
+        raise ScanError(f"{name}: contains no scan, expected one per line")
     body = _unpacked(body)
     table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
     if _is_echo(body[0][1]):
@@ -103,7 +103,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     elif len(names) != len(first) or any(map(_is_number, names)):
         names = []
     if not body:
-        raise ScanError(f"{name}: holds no scan, expected one per line")
+        raise ScanError(f"{name}: contains no scan, expected one per line")
     return table.read(names, fov)
 
 
@@ -261,7 +261,7 @@ class _Table:
             self.rows.append((where, row))
         if not self.rows:
             self.bad.check(0)
-            raise ScanError(f"{self.name}: holds no scan, expected one per line")
+            raise ScanError(f"{self.name}: contains no scan, expected one per line")
 
     def _turns(self, fov: float | None) -> bool:
         """Whether the first column holds angles, and each other one a scan."""

@@ -158,7 +158,7 @@ def _inside_hint(path: PathLike) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """What an error says, on one line that is not long: those of libraries may quote a file."""
+    """One-line message of an error, shortened: libraries may quote a whole file."""
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     line = " ".join(text[:2000].split()) or type(error).__name__
     return line if len(line) <= 200 else f"{line[:200]}..."

@@ -389,7 +389,7 @@ def _check_header(
         hint = (
             "which are never loaded; expected numbers (save rows of equal length, padded with NaN)"
         )
-        raise ScanError(f"{name}: {key}: holds pickled objects, {hint}")
+        raise ScanError(f"{name}: {key}: contains pickled objects, {hint}")
     if dtype.kind not in "fiu":
         raise wrong(f"{name}: {key}", f"type {str(dtype)[:60]}", "numbers")
     if not all(type(n) is int and n >= 0 for n in shape):  # NumPy lets a bool pass

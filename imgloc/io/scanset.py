@@ -269,7 +269,7 @@ def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) ->
             beside[key].append(pose)
     bad.check(len(scans))
     if not scans:
-        raise ScanError(f"{name}: holds no scan, expected one per line")
+        raise ScanError(f"{name}: contains no scan, expected one per line")
     known = {key: _known(np.array(poses)) for key, poses in beside.items()}
     if known["pose"] is not None and (there := np.isfinite(known["pose"][:, 0])).sum() < len(scans):
         some = f"in {there.sum()} of {len(scans)} scans"

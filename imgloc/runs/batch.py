@@ -236,7 +236,7 @@ def _warn(texts: Iterable[str], warned: set[str]) -> None:
 
 
 class _Warnings(logging.Handler):
-    """Keeps what is warned of: the files of an item are read in a worker, which nobody hears."""
+    """Collects the warnings of a worker while it reads the files of an item."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)

@@ -88,7 +88,7 @@ class ScanFiles(Logs):
 
     @property
     def given(self) -> Given:
-        """What is stated about the scans, for those who look for what is wrong with them."""
+        """Settings of the scans that a diagnosis needs."""
         return Given(self.flipped, self.scale)
 
     def mounted(self, scan: LaserScan) -> LaserScan:
@@ -107,7 +107,7 @@ class ScanFiles(Logs):
 
 @dataclass(frozen=True)
 class Taken:
-    """The scans of a file that are looked at, as their sensor, mounted as said, records them."""
+    """Selected scans of a file, in metres, with mount and reach applied."""
 
     name: str  #: of the file
     scans: ScanSet
