@@ -34,6 +34,7 @@ from imgloc.io.files import (
     display,
     is_file,
     is_there,
+    neighbour_hint,
     open_regular,
     refuse_existing,
     write_bytes_atomic,
@@ -402,7 +403,7 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
             os.close(open_regular(said.image, MapError, "map image"))
         except MapError as e:
             *_, there = re.split(r"[/\\]", str(said.image))
-            hint = ""
+            hint = neighbour_hint(file.parent / there) if said.image.parent != file.parent else ""
             if is_file(file.parent / there):
                 hint = f"; {display(there)} lies beside the YAML: write 'image: {display(there)}'"
             if is_address(os.path.relpath(said.image, file.parent)):
