@@ -82,6 +82,10 @@ def test_grey_205_is_warned_of_where_it_is_the_unknown(kind: str, tmp_path: Path
 def test_the_cases_give_what_their_kind_should(shared: Path) -> None:
     cases = shared / "cases"
     said = {
+        "inspect 04-nodding-laser/nod.bag": "left out 53 of 60 scans",
+        "inspect 06-next-command-drops-options/map.png scans.yaml --resolution 0.1 --origin 5,5,0 "
+        "--sensor 0.1,0,0": "--scans-index 4 --sensor 0.1,0,0 --resolution 0.1 --origin 5,5,0",
+        "inspect 17-json-wrappers/r_csm.json": "6 of 181 rays, -90 to 90 degrees",
         "inspect 05-nan-percent-when-standing/still.bag": "",
         "inspect 09-max-bad-has-no-effect-on-bags/one_of_300.bag": "left out 1 of 300 scans",
         "inspect 09-max-bad-has-no-effect-on-bags/one_empty.yaml --max-bad 0.5": "left out 1 of 6",
@@ -92,10 +96,12 @@ def test_the_cases_give_what_their_kind_should(shared: Path) -> None:
         "inspect 15-echo-text/lost_message.yaml": "lacks 1 message",
     }  # fmt: skip
     for words, text in said.items():
+        words = words.replace(" scans.yaml", " 06-next-command-drops-options/scans.yaml")
         run = spawn(*words.split(), cwd=cases)
         assert run.code == 0, run
         assert text in run.out
         assert "nan %" not in run.out
+        assert "    jump:" not in run.out
         assert "    grey-205" not in run.out
 
 

@@ -334,15 +334,7 @@ class _Table:
 
     def echoed(self) -> ScanSet:
         """The scans of what ``ros2 topic echo --csv`` prints: the fields without their names."""
-        keys = (
-            "angle_min",
-            "angle_max",
-            "angle_increment",
-            "time_increment",
-            "",
-            "range_min",
-            "range_max",
-        )
+        keys = (*SPACING, "time_increment", "", "range_min", "range_max")
         entries = list[Entry]()
         for where, cells in self.body:
             try:
