@@ -117,18 +117,18 @@ def test_parts_of_a_survey_are_the_whole_whatever_their_length():
 
 
 def row(x: float) -> list[object]:
-    return [x, 0.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0]
+    return [x, 0.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0, 1]
 
 
 def test_a_journal_goes_on_after_a_cut_line(tmp_path: Path) -> None:
     path = tmp_path / "a.part"
     journal = Journal(path, {"step": 1})
-    journal.add([1.0, 0.0, 0.0, "no-match", 0.0, float("nan"), None, None, None, None, 0.0])
+    journal.add([1.0, 0.0, 0.0, "no-match", 0.0, float("nan"), None, None, None, None, 0.0, 1])
     journal.add(row(2.0))
     journal.close()
     path.write_text(path.read_text() + '[3.0, "half')
     again = Journal(path, {"step": 1})
-    lost = [1.0, 0.0, 0.0, "no-match", 0.0, None, None, None, None, None, 0.0]
+    lost = [1.0, 0.0, 0.0, "no-match", 0.0, None, None, None, None, None, 0.0, 1]
     assert again.rows == [lost, row(2.0)]
     again.add(row(4.0))
     again.close()
@@ -182,7 +182,7 @@ def test_a_file_of_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_csv_has_named_columns() -> None:
-    text = as_csv([(1.0, 2.0, 0.5, "no-match", 0.0, float("nan"), None, None, None, None, 0.0)])
+    text = as_csv([(1.0, 2.0, 0.5, "no-match", 0.0, float("nan"), None, None, None, None, 0.0, 1)])
     (row,) = csv.DictReader(text.splitlines())
     assert tuple(row) == COLUMNS
     assert (row["kind"], row["error"], row["twin_x"]) == ("no-match", "", "")
