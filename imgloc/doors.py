@@ -1,4 +1,4 @@
-"""Doors in the wall: what earlier rooms use of the rooms behind it, by name, when it is used.
+"""Lazy imports of the rooms behind the wall: by name, when they are used.
 
 No room before the wall imports ``plans`` or ``lab``: whoever needs something of theirs asks here.
 """

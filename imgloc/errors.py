@@ -89,7 +89,7 @@ _MADE = {
     "OccupancyGrid": "load_map(path) reads one",
     "MapFeatures": "prepare(grid) makes them",
     "LaserScan": "load_scans(path)[k] is one",
-    "ScanSet": "load_scans(path) reads one, ScanSet([scan]) holds some",
+    "ScanSet": "load_scans(path) reads one, ScanSet([scan]) makes one",
     "Options": 'Options(method="...") makes them',
     "Mapping": "{name: prepare(grid)}",
     "Localization": "localize(features, scan) gives one",

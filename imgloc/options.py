@@ -404,7 +404,7 @@ class Options(Checked):
     )
     top: Count | None = option(
         None,
-        "Number of hypotheses to list. [default: as many as hold 95 % of the mass, at least 5]",
+        "Number of hypotheses to list. [default: as many as have 95 % of the mass, at least 5]",
     )
     theta_step: HeadingStep | None = option(
         None,
@@ -772,14 +772,14 @@ class Logs(Checked):
 
     topic: str | None = option(
         None,
-        "Laser to read from a log that holds several; commas join lasers. [default: the front "
+        "Laser to read from a log that contains several; commas join lasers. [default: the front "
         "laser]",
         metavar="NAME",
     )
     #: radians
     fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] | None = option(
         None,
-        "Angle from the first to the last ray, degrees, for a file that does not hold it. "
+        "Angle from the first to the last ray, degrees, for a file that does not contain it. "
         "[default: the file's]",
         "--fov-deg",
     )

@@ -11,6 +11,14 @@ from command import MAPS, call, rows, spawn
 from imgloc.io.images import encode_png, read_image
 
 
+def test_the_image_of_another_machine_has_another_ending_here(tmp_path: Path) -> None:
+    (tmp_path / "map.png").write_bytes(encode_png(np.full((9, 9), 254, np.uint8)))
+    said = "image: /root/.ros/map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"
+    (tmp_path / "a.yaml").write_text(said)
+    run = call("map", "check", tmp_path / "a.yaml")
+    assert "; beside it there is map.png" in run.err
+
+
 @pytest.mark.parametrize("image", [
     "/home/someone/maps/a.png", "file:///home/x/a.png", "package://my_maps/maps/a.png",
     "C:\\Users\\me\\maps\\a.png", "~/maps/a.png", "../other/a.png", "$(find maps)/a.png",
@@ -36,13 +44,6 @@ def test_what_is_no_map_is_told_what_makes_one(name: str, hint: str, tmp_path: P
         assert run.code == 3
         assert hint in run.err
         assert "--resolution" not in run.err
-
-
-def test_an_address_is_no_file(tmp_path: Path) -> None:
-    run = call("localize", "s3://bucket/map.yaml", "a.npz")
-    assert (run.code, "is an address" in run.err) == (3, True)
-    run = call("localize", "curved", "https://example.org/a.npz")
-    assert (run.code, "is an address" in run.err) == (4, True)
 
 
 @pytest.mark.parametrize("head", [b"#ROSBAG V1.2\n", b"#ROSRECORD V1.1\n"])
@@ -81,6 +82,10 @@ def test_grey_205_is_warned_of_where_it_is_the_unknown(kind: str, tmp_path: Path
 def test_the_cases_give_what_their_kind_should(shared: Path) -> None:
     cases = shared / "cases"
     said = {
+        "inspect 04-nodding-laser/nod.bag": "left out 53 of 60 scans",
+        "inspect 06-next-command-drops-options/map.png scans.yaml --resolution 0.1 --origin 5,5,0 "
+        "--sensor 0.1,0,0": "--scans-index 4 --sensor 0.1,0,0 --resolution 0.1 --origin 5,5,0",
+        "inspect 17-json-wrappers/r_csm.json": "6 of 181 rays, -90 to 90 degrees",
         "inspect 05-nan-percent-when-standing/still.bag": "",
         "inspect 09-max-bad-has-no-effect-on-bags/one_of_300.bag": "left out 1 of 300 scans",
         "inspect 09-max-bad-has-no-effect-on-bags/one_empty.yaml --max-bad 0.5": "left out 1 of 6",
@@ -91,10 +96,12 @@ def test_the_cases_give_what_their_kind_should(shared: Path) -> None:
         "inspect 15-echo-text/lost_message.yaml": "lacks 1 message",
     }  # fmt: skip
     for words, text in said.items():
+        words = words.replace(" scans.yaml", " 06-next-command-drops-options/scans.yaml")
         run = spawn(*words.split(), cwd=cases)
         assert run.code == 0, run
         assert text in run.out
         assert "nan %" not in run.out
+        assert "    jump:" not in run.out
         assert "    grey-205" not in run.out
 
 

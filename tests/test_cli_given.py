@@ -86,3 +86,26 @@ def test_angles_that_contradict_each_other_may_be_stated(tmp_path: Path) -> None
     np.testing.assert_allclose(
         load_scans(path, fov=np.pi)[0].angles[[0, -1]], [-np.pi / 2, np.pi / 2]
     )
+
+
+MOUNTS = ([0.1, 0], "front", [0.1, 0, 90], [20000, 0, 0], [None, 0, 0], {"x": 1, "y": 2})
+
+
+@pytest.mark.parametrize("bad", MOUNTS, ids=str)
+def test_the_given_sensor_wins_over_a_mount_that_cannot_be(bad: object, tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    said = {"angle_min": -1.5, "angle_max": 1.5, "range_max": 12, "ranges": RANGES.tolist()}
+    path.write_text(json.dumps({**said, "mount": bad}))
+    refused = call("inspect", path)
+    assert (refused.code, "; or pass --sensor" in refused.err) == (4, True)
+    run = call("inspect", path, "--sensor", "0.1,0,0")
+    assert "on the robot at x 0.1 m, y 0 m" in run.out
+
+
+@pytest.mark.parametrize("bad", [np.zeros((5, 3)), np.array([0.1, 0, 90])], ids=["rows", "degrees"])
+def test_the_given_sensor_wins_over_mounts_of_an_npz(bad: np.ndarray, tmp_path: Path) -> None:
+    angles = np.linspace(-1.5, 1.5, 181)
+    np.savez(tmp_path / "a.npz", ranges=[RANGES] * 2, angles=angles, mount=bad)
+    assert "; or pass --sensor" in call("inspect", tmp_path / "a.npz").err
+    run = call("inspect", tmp_path / "a.npz", "--sensor", "0.1,0,0")
+    assert "on the robot at x 0.1 m, y 0 m" in run.out

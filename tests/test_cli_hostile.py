@@ -239,7 +239,7 @@ BAGS_THAT_HARM = [
     Case(
         "huge.mcap",
         lambda: mcap_of((3, b"")).replace(b"\3" + bytes(8), b"\3" + struct.pack("<Q", 1 << 62)),
-        "damaged or not a bag (a length that no memory holds)",
+        "damaged or not a bag (a length beyond any memory)",
     ),
     Case(
         "made.db3",

@@ -67,8 +67,8 @@ def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None
     assert err.splitlines()[-1].startswith(f"imgloc: wrote {out}: {what}, ")
     picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
-    below = picture.shape[0] - picture.shape[1] * 3 // 4  # a bar of the colours
-    assert (below > 0) == (what in ("bmap", "vmap", "surface", "distance"))
+    below = picture.shape[0] - picture.shape[1] * 3 // 4  # a legend
+    assert (below > 0) == (what in ("bmap", "vmap", "surface", "distance", "visibility"))
     assert len(np.unique(picture @ np.array([1, 1 << 8, 1 << 16]))) > 2  # colours
     before = out.read_bytes()
     assert call("map", "show", grey, "--what", what, "--out", out).code == 1
@@ -77,15 +77,16 @@ def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None
 
 
 def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
-    def fan(*words: object) -> bytes:
+    def fan(*words: object) -> int:
         out = tmp_path / "fan.png"
         run = call(
             "map", "show", MAPS / "curved.yaml", "--what", "visibility", "--out", out, *words
         )
         assert run.code == 0, run.err
-        data = out.read_bytes()
+        picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
         out.unlink()
-        return data
+        blue, _, red = picture[:-40].transpose(2, 0, 1).astype(int)  # above the legend
+        return int(np.count_nonzero(red > blue + 50))  # pixels of the fan, which is orange
 
     # The same surface point, named in two frames.
     assert fan("--at", "4.2,5.4") == fan("--origin", "1,2,1.5707963", "--at", "-4.4,6.2")

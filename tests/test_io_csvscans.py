@@ -49,6 +49,8 @@ def exported(kind: str) -> str:
     if kind == "ros2 --csv with intensities":
         return table([], [[t // 10**9, t % 10**9, "base_scan", *values, *RANGES[k], *[0.0] * RAYS]
                           for k, t in enumerate(ns)])  # fmt: skip
+    if kind == "ros2 --csv without a frame":
+        return exported("ros2 --csv").replace("base_scan", "")
     if kind == "bagpy":
         head = ["Time", "header.seq", "header.stamp.secs", "header.stamp.nsecs", "header.frame_id",
                 *FIELDS, *(f"ranges_{k}" for k in n), *(f"intensities_{k}" for k in n)]  # fmt: skip
@@ -64,6 +66,13 @@ def exported(kind: str) -> str:
         head = ["", "timestamp_ms", *(f"range_{k}" for k in n)]
         said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}, range_max=12\n"
         return said + table(head, [[k, 1000 * t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+    if kind.startswith("lists in cells"):
+        form = {"tuples": "({})", "arrays": "array('f', [{}])"}.get(kind.split()[-1], "[{}]")
+        name = "/scan/ranges" if "NumPy" in kind else "ranges"
+        mark = " " if "NumPy" in kind else ", "
+        cells = [f'"{form.format(mark.join(map(str, scan)))}"' for scan in RANGES]
+        rows = [[k, STAMPS[k], *values, cells[k], '"()"'] for k in range(N)]
+        return table(["", "timestamp", *FIELDS, name, "intensities"], rows)
     if kind == "angles first, time first":
         return table(["", *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
     if kind == "angles first in degrees":
@@ -108,7 +117,9 @@ def exported(kind: str) -> str:
 
 KINDS = [
     "rostopic -p", "rostopic -p of simulated time", "ros2 --csv", "ros2 --csv with intensities",
-    "bagpy", "plotjuggler", "pandas", "angles first, time first", "angles first in degrees",
+    "ros2 --csv without a frame", "lists in cells", "lists in cells, as tuples",
+    "lists in cells, as arrays", "lists in cells, of NumPy", "bagpy", "plotjuggler", "pandas",
+    "angles first, time first", "angles first in degrees",
     "angles down", "angles down by name", "a reading a line", "a reading a line by semicolons",
     "a reading a line without names", "blanks", "tabs", "time first", "savetxt",
 ]  # fmt: skip
@@ -177,6 +188,26 @@ def test_tables_go_through_the_command(shared: Path) -> None:
 def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="angles: missing, expected a first line '# angle_min="):
         loaded(tmp_path, table([], RANGES.tolist()))
+
+
+def test_a_scan_that_passes_0_degrees_is_one_scan(tmp_path: Path) -> None:
+    angles = (np.linspace(225, 484, 260) % 360).round(2).tolist()
+    said = "#Angule\tDistance\tQuality\n"
+    lines = [[a, 2000 + k, 47] for k, a in enumerate(angles)]
+    (scan,) = loaded(tmp_path, said + table([], lines, " ")).scans
+    np.testing.assert_allclose(scan.ranges, 2000 + np.arange(260))
+    around = [[a % 360 + 0.5 * (a >= 360), 2000] for a in range(720)]
+    assert [len(scan.ranges) for scan in loaded(tmp_path, table([], around)).scans] == [360, 360]
+
+
+def test_points_are_no_scan(tmp_path: Path) -> None:
+    with pytest.raises(ScanError, match="are points; expected columns angle and range: atan2"):
+        loaded(tmp_path, table(["x", "y"], RANGES[:, :2].tolist()))
+
+
+def test_a_list_that_is_cut_off_in_a_cell_is_left_out(tmp_path: Path) -> None:
+    text = exported("lists in cells")
+    assert len(loaded(tmp_path, text[:-120])) == N - 1
 
 
 def test_angles_that_were_rounded_and_a_time_without_a_name(tmp_path: Path) -> None:

@@ -58,11 +58,18 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("whole", ["lines", "lines called .json", "array", "object"])
+@pytest.mark.parametrize(
+    "whole", ["lines", "lines called .json", "array", "object", "one after the other"]
+)
 def test_json_of_other_programs(tmp_path: Path, form: str, whole: str) -> None:
     entries = [FORMS[form](k) for k in range(N)]
     path = tmp_path / ("a.jsonl" if whole == "lines" else "a.json")
-    texts = {"array": json.dumps(entries, indent=1), "object": json.dumps({"scans": entries})}
+    one_by_one = "\n".join(json.dumps(entry, indent=1) for entry in entries)
+    texts = {
+        "one after the other": one_by_one,
+        "array": json.dumps(entries, indent=1),
+        "object": json.dumps({"scans": entries}),
+    }
     path.write_text(texts.get(whole, "\n".join(map(json.dumps, entries)) + "\n"))
     scans = load_scans(path)
     assert len(scans) == N
@@ -73,6 +80,15 @@ def test_json_of_other_programs(tmp_path: Path, form: str, whole: str) -> None:
     np.testing.assert_allclose(scans.stamps, 1_700_000_000.5 + np.arange(N))
     assert scans.poses is None
     assert (scans.odom is not None) == (form == "csm")
+
+
+def test_a_table_of_ranges_in_one_object(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    said = {"angle_min": -0.5, "angle_max": 0.5, "range_max": 9.0, "stamps": [5.0, 5.1]}
+    path.write_text(json.dumps({**said, "ranges": [RANGES, [1.0, None, 2.0]]}))
+    scans = load_scans(path)
+    np.testing.assert_array_equal(scans[1].ranges, [1.0, math.nan, 2.0])
+    np.testing.assert_allclose(scans.stamps, [5.0, 5.1])
 
 
 def test_other_topics_of_rosbridge_are_passed_over(tmp_path: Path) -> None:

@@ -216,7 +216,7 @@ def test_a_driver_may_use_its_buffer_again(curved):
         (lambda f, s: imgloc.localize(f, s[0], Options(prior=imgloc.Prior(np.ones((3, 3))))),
          imgloc.ConfigError, r"the prior has cells of shape \(3, 3\), expected that of the map"),
         (lambda f, s: imgloc.save_scans("scans.npz", [s[0]]), TypeError,
-         r"scans must be ScanSet, got list .*ScanSet\(\[scan\]\) holds some"),
+         r"scans must be ScanSet, got list .*ScanSet\(\[scan\]\) makes one"),
     ],
     ids=["changes", "prior", "scans"],
 )  # fmt: skip

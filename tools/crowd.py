@@ -135,7 +135,7 @@ class Crowd:
                 return b""
 
     def large_bodies(self) -> None:
-        """Send files of scans that are none."""
+        """Send files that contain no scans."""
         body = b"1," * (4 << 20)
         while not self.stop.wait(0.2):
             self._ask("POST", "/v1/scans?name=a.csv", body)

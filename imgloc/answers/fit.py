@@ -59,7 +59,7 @@ class PoseFit(ByContent):
 
     @property
     def misfit(self) -> float:
-        """Nats per reading that a perfect fit has more."""
+        """Nats per reading by which a perfect fit is better."""
         return self.best - self.per_reading
 
     def as_row(self) -> Mapping[str, Any]:

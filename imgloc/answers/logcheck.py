@@ -472,7 +472,6 @@ def _about_gaps(
         text = f"the odometry moves {unit}: are these millimetres or centimetres? Write metres"
         _add(findings, "odometry-units", text)
         return
-    k = int(steps.argmax())
     paused = waited > max(_SECONDS, _TIMES * usually) if times else np.zeros(len(steps), bool)
     if (gaps := np.flatnonzero(paused & (steps > _METRES))).size:
         j = int(gaps[waited[gaps].argmax()])
@@ -481,7 +480,10 @@ def _about_gaps(
             "it may be lost there"
         )
         _add(findings, "gap", text, fatal=False)
-    if steps[k] > max(_BEYOND * usual, _LEAP) and not paused[k]:
+    k = int(np.where(paused, 0.0, steps).argmax())
+    if times and steps[k] < usual * waited[k] / usually:
+        return  # scans between were left out
+    if steps[k] > max(_BEYOND * usual, _LEAP):
         text = f"the odometry jumps by {steps[k]:.3g} m after scan {k}: it was reset, or slipped"
         _add(findings, "jump", text, fatal=False)
 

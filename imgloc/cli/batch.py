@@ -75,7 +75,9 @@ def batch(
         "with the columns map,scans.",
         "MAPS",
         # A CSV here is one of pairs.
-        parse=lambda path: path if path.suffix.lower() == ".csv" else opt.find_map(path),
+        parse=lambda path: (
+            opt.find_file(path) if path.suffix.lower() == ".csv" else opt.find_map(path)
+        ),
     ),
     out: Path = option(..., "Folder of the results.", metavar="DIR"),
     mounting: Mounting,

@@ -31,6 +31,7 @@ def inspect(
         ...,
         "Logs or other files of scans, and maps. Logs are checked against the map if there is one.",
         "FILE...",
+        parse=opt.find_file,
     ),
     logs: Logs,
     mounting: Mounting,

@@ -15,23 +15,33 @@ from imgloc.texts import metres_degrees
 
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
+    from imgloc.errors import MapError
     from imgloc.io.bags import BAG_ENDINGS
     from imgloc.io.files import is_there
     from imgloc.io.maps import named_map
+    from imgloc.io.remote import local
     from imgloc.io.scans import SCAN_ENDINGS
 
-    path = Path(path)
+    path = local(path, MapError)
     ending = path.suffix.lower()
     if ending in SCAN_ENDINGS and ending not in BAG_ENDINGS and is_there(path):
         raise ConfigError(f"{path} is a file of scans; the order is MAP, then SCANS")
     return named_map(path)
 
 
-def find_scans(path: str | Path) -> Path:
-    """`path` itself, unless it is an image."""
-    from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
+def find_file(path: str | Path) -> Path:
+    """`path` itself; of an address a copy."""
+    from imgloc.io.remote import local
 
-    path = Path(path)
+    return local(path)
+
+
+def find_scans(path: str | Path) -> Path:
+    """`path` itself, unless it is an image; of an address a copy."""
+    from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
+    from imgloc.io.remote import local
+
+    path = local(path)
     if path.suffix.lower() in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
         raise ConfigError(f"{path} is an image; the order is MAP, then SCANS")
     return path

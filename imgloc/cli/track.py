@@ -228,7 +228,7 @@ def track(
         truth = _truth_of(given, outputs.truth, moments, scans, live)
         outputs.write(grid, moments, truth, movie, recording, title)
     if not moments:
-        raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
+        raise ScanError(f"{inputs.name_of(log)}: has no scan with odometry")
     say(words)
     if truth is not None:
         say(deviation_of(moments, truth).words)

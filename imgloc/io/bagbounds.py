@@ -99,7 +99,7 @@ def metadata(text: str, name: str) -> Any:
 
 @functools.cache
 def _replace() -> None:
-    """Put bounded functions in the places of those of rosbags, once."""
+    """Patch rosbags with size limits, once."""
     names = (
         "rosbag1.reader", "highlevel.anyreader",
         "rosbag2.reader", "rosbag2.storage_mcap", "rosbag2.storage_sqlite3",

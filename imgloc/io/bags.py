@@ -27,7 +27,7 @@ from imgloc.io.messages import (
     planar,
     seconds_of,
 )
-from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, check_size, collect
+from imgloc.io.scanset import MAX_RAYS, MOUNTED, Entry, ScanSet, ScansSize, check_size, collect
 from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import MAX_BAD
 from imgloc.robot.frames import Frames
@@ -238,7 +238,7 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
     except ImglocError:
         raise
     except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
-        why = "a length that no memory holds" if isinstance(e, MemoryError) else reason(e)
+        why = "a length beyond any memory" if isinstance(e, MemoryError) else reason(e)
         hint = f"{_SAVES.get(parts[0].suffix, 'ros2 bag reindex')} may save what is in it"
         raise ScanError(f"{name}: damaged or not a bag ({why}); record it again; {hint}") from None
 
@@ -316,13 +316,14 @@ def _assemble(
         _LOG.warning("%s: its odometry does not cover the time of its scans, and is ignored", name)
     mounts = mounted(frames, laser, source.child if source else "", stamps)
     poses = [None if mounts is None else mounts.get(t) for t in stamps.tolist()]
-    level = [pose is not None and abs(pose[2, 2]) >= _TILTED for pose in poses]
+    stated = MOUNTED.get() is not None
+    level = [stated if pose is None else abs(pose[2, 2]) >= _TILTED for pose in poses]
     if mounts is not None:
         if not any(level) and mounts:
             _LOG.warning("%s: its laser is tilted in tf; imgloc takes scans for level", name)
             level = [pose is not None for pose in poses]
         if left := len(level) - sum(level):
-            lacking = sum(pose is None for pose in poses)
+            lacking = 0 if stated else sum(pose is None for pose in poses)
             _LOG.warning(
                 "%s: left out %d of %d scans: tf does not tell where the laser was at the time of "
                 "%d, and it was tilted by more than 5 degrees at that of %d",
@@ -340,5 +341,6 @@ def _assemble(
                 more |= {key: -entry[key] for key in keys if key in entry}
         whole.append((where, {**entry, **more}))
     if entries and not whole:
-        raise ScanError(f"{name}: tf never tells where {laser} is at the time of a scan")
+        hint = "; or pass `sensor`"
+        raise ScanError(f"{name}: tf never tells where {laser} is at the time of a scan{hint}")
     return collect(whole, name, bad)

@@ -217,7 +217,7 @@ class CarmenLines:
 
 
 def _placed(scans: ScanSet) -> ScanSet:
-    """The scans of a laser that is at the robot's own place where nothing else is said."""
+    """Scans of a laser; its mount is the identity by default."""
     if scans.poses is not None or scans.odom is None:
         return scans
     at = tuple(replace(s, T_base_laser=s.T_base_laser or Pose2D(0.0, 0.0)) for s in scans.scans)
@@ -418,11 +418,11 @@ def _sick_reach(messages: Sequence[_Message]) -> float:
 
 
 def _angles(n: int, fov: float | None, resolution: float | None, where: str) -> FloatArray:
-    """Directions of `n` rays, about straight ahead but for those of a SICK."""
+    """Directions of `n` rays, symmetric about 0; a SICK begins at -90 degrees."""
     if fov is None and n in _SICK_STEPS:
         return np.asarray(np.arange(n) * math.radians(_SICK_STEPS[n]) - math.pi / 2)
     if fov is None and resolution is None:
-        expected = "the angle that they cover, which this message does not hold: pass `fov`"
+        expected = "the angle that they cover, which this message does not contain: pass `fov`"
         raise ScanError(f"{where}: {n} readings, expected with them {expected}")
     return spread(n, math.radians(resolution or 0.0) * (n - 1) if fov is None else fov)
 

@@ -5,6 +5,7 @@
 """
 
 import contextlib
+import csv
 import itertools
 import logging
 import math
@@ -43,10 +44,11 @@ _ROLES = (
     (re.compile(r"(%|__)?(time|timestamp|t)$"), "time"),
     (re.compile(r"(.*[./])?(header[./_])?(seq|frame_id|scan_time)$|.*intensit.*|quality|"
                 r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$"), "aside"),
-    (re.compile(r"angle|bearing|azimuth|phi|alpha"), "angle"),
+    (re.compile(r"angu?le|bearing|azimuth|phi|alpha"), "angle"),
     (re.compile(r"range|dist|distance|r"), "range"),
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
+_LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
@@ -84,7 +86,8 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         else:
             body.append((where, cells_of(text)))
     if not body:
-        raise ScanError(f"{name}: holds no scan, expected one per line")
+        raise ScanError(f"{name}: contains no scan, expected one per line")
+    body = _unpacked(body)
     table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
     if _is_echo(body[0][1]):
         return table.echoed()
@@ -100,7 +103,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     elif len(names) != len(first) or any(map(_is_number, names)):
         names = []
     if not body:
-        raise ScanError(f"{name}: holds no scan, expected one per line")
+        raise ScanError(f"{name}: contains no scan, expected one per line")
     return table.read(names, fov)
 
 
@@ -116,7 +119,29 @@ def cells_of(text: str) -> list[str]:
         if mark in text and f",{mark}" not in text:
             cells = [cell.strip() for cell in text.split(mark)]
             return [re.sub(r"^([-+]?\d*),(\d+)$", r"\1.\2", cell) for cell in cells]
+    if '"' in text:
+        return [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True))]
     return [cell.strip() for cell in text.split(",")] if "," in text else text.split()
+
+
+def _unpacked(body: list[Row]) -> list[Row]:
+    """The rows with a column for each number of lists of ranges in cells, as pandas writes them.
+
+    Columns of other lists are left out.
+    """
+    lists = {i for _, row in body[1:3] for i, cell in enumerate(row) if _LIST.match(cell)}
+    if not lists:
+        return body
+    (where, names), rows = body[0], list[Row]()
+    kept = [i for i in range(len(names)) if i not in lists]
+    at = next((i for i in lists if role_of(f"{names[i]}0")[0] == "ranges"), -1)
+    for line, row in body[1:]:
+        whole = len(row) == len(names) and at >= 0 and row[at].endswith((")", "]"))
+        cells = _LIST.sub("", row[at]).strip(")] ").replace(",", " ").split() if whole else []
+        rows.append((line, [*(row[i] for i in kept), *cells] if whole else []))
+    widest = max(len(row) for _, row in rows) - len(kept)
+    head = [*(names[i] for i in kept), *(f"ranges{k}" for k in range(widest))]
+    return [(where, head), *((w, row and row + [""] * (len(head) - len(row))) for w, row in rows)]
 
 
 def role_of(name: str) -> tuple[str, int, float]:
@@ -163,6 +188,11 @@ class _Table:
         if not ranges and "angle" in by:
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2])
+        if not ranges and {"x", "y"} <= set(names) <= {"x", "y", "z", "intensity"}:
+            expected = "columns angle and range: atan2(y, x) in radians, hypot(x, y) in metres"
+            raise ScanError(
+                f"{self.name}: columns {', '.join(names)} are points; expected {expected}"
+            )
         if not ranges:
             aside = [i for i, r in enumerate(roles) if r[0] or not names[i]]
             ranges = [i for i in range(len(names)) if i not in aside]
@@ -231,7 +261,7 @@ class _Table:
             self.rows.append((where, row))
         if not self.rows:
             self.bad.check(0)
-            raise ScanError(f"{self.name}: holds no scan, expected one per line")
+            raise ScanError(f"{self.name}: contains no scan, expected one per line")
 
     def _turns(self, fov: float | None) -> bool:
         """Whether the first column holds angles, and each other one a scan."""
@@ -262,7 +292,8 @@ class _Table:
         table = np.array([row[:2] for _, row in self.rows])
         if len(table) < 2 or table.shape[1] < 2 or np.isnan(table[:, 0]).any():
             return False
-        steps = np.diff(table, axis=0)
+        with np.errstate(invalid="ignore"):  # from infinite to infinite
+            steps = np.diff(table, axis=0)
         rises = [bool((s >= 0).all() and 2 * np.count_nonzero(s) > len(s)) for s in steps.T]
         if not table[0, 0] > _EPOCH and (rises != [True, False] or len(table) < 4):
             return False
@@ -303,15 +334,7 @@ class _Table:
 
     def echoed(self) -> ScanSet:
         """The scans of what ``ros2 topic echo --csv`` prints: the fields without their names."""
-        keys = (
-            "angle_min",
-            "angle_max",
-            "angle_increment",
-            "time_increment",
-            "",
-            "range_min",
-            "range_max",
-        )
+        keys = (*SPACING, "time_increment", "", "range_min", "range_max")
         entries = list[Entry]()
         for where, cells in self.body:
             try:
@@ -335,7 +358,7 @@ class _Table:
 
 def _is_echo(cells: Sequence[str]) -> bool:
     """Whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
-    numbers = [_is_number(cell) for cell in cells[: _ECHO + 1]]
+    numbers = [bool(cell) and _is_number(cell) for cell in cells[: _ECHO + 1]]
     return len(cells) > _ECHO and numbers == [True] * 2 + [False] + [True] * (_ECHO - 2)
 
 
@@ -395,7 +418,12 @@ def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
     steps = np.diff(angles)
     usual = float(np.median(steps)) if len(steps) else 0.0
     back = steps * np.sign(usual) < -max(math.pi / 4, 10 * abs(usual))
-    return [0, *(1 + np.flatnonzero(back)).tolist()]
+    starts, ends = [0], [*(1 + np.flatnonzero(back)).tolist(), len(angles)]
+    for a, b in itertools.pairwise(ends):
+        first, last = angles[starts[-1]], angles[b - 1]
+        if (first - last) * np.sign(usual) <= 0:  # else it goes on beyond 0 degrees, not anew
+            starts.append(a)
+    return starts
 
 
 def _check_alike(columns: Sequence[str], name: str) -> None:

@@ -66,6 +66,7 @@ def _checked(message: Any, where: str) -> dict[str, Any]:
             hint = "this is a map's YAML: the order is MAP, then SCANS"
         else:
             hint = "expected the fields of a LaserScan, with ranges"
+            hint += ": echo the whole topic, not a field of it" * isinstance(message, list)
         raise ScanError(f"{where}: {hint}")
     ranges = message["ranges"]
     if isinstance(ranges, list) and "..." in ranges[-1:]:

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import re
 import secrets
 import stat
 from collections.abc import Iterator
@@ -14,6 +13,8 @@ from imgloc.errors import ImglocError, OutputError, printable
 PathLike = str | os.PathLike[str]
 TEMPORARY = ".imgloc-{}.tmp"
 """Name of a file that is being written, with 16 random hexadecimal digits."""
+COPIES: dict[str, str] = {}
+"""Addresses of what was copied onto this machine, see :mod:`imgloc.io.remote`, by the copy."""
 
 
 def display(path: PathLike | bytes) -> str:
@@ -24,7 +25,8 @@ def display(path: PathLike | bytes) -> str:
     >>> display(b"caf\xe9.png")
     'caf\\xe9.png'
     """
-    return printable(os.fsencode(path).decode("utf-8", "backslashreplace"), keep="")
+    text = os.fsencode(path).decode("utf-8", "backslashreplace")
+    return printable(COPIES.get(text, text), keep="")
 
 
 def map_name(path: PathLike) -> str:
@@ -97,8 +99,6 @@ def open_regular(
         more = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         fd = os.open(path, flags | more, 0o666)
     except FileNotFoundError:
-        if re.match(r"[a-z][a-z0-9+]+:/", str(path)):
-            raise error(f"{name}: is an address, expected a {what}: download it first") from None
         raise error(f"{name}: no such file{neighbour_hint(path)}") from None
     except IsADirectoryError:  # asked for writing
         raise error(f"{name}: is a folder, expected a {what} (a regular file)") from None
@@ -158,7 +158,7 @@ def _inside_hint(path: PathLike) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """What an error says, on one line that is not long: those of libraries may quote a file."""
+    """One-line message of an error, shortened: libraries may quote a whole file."""
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     line = " ".join(text[:2000].split()) or type(error).__name__
     return line if len(line) <= 200 else f"{line[:200]}..."

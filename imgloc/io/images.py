@@ -443,6 +443,6 @@ def _samples(file: BinaryIO, count: int, dtype: np.dtype[Any], name: str) -> npt
     file.seek(start)
     body, extra = file.read(size), length - start - size
     if extra > 0 and file.read(_HEAD).strip():
-        why = "the header does not belong to this data, or the file holds several images"
+        why = "the header does not belong to this data, or the file contains several images"
         raise MapError(f"{name}: {extra:,} bytes follow the image, expected its end: {why}")
     return np.frombuffer(body, dtype, count=len(body) // dtype.itemsize)

@@ -44,7 +44,7 @@ _WARNINGS = {
     "yaw": "the origin has a yaw of {origin.theta:.4f} rad; it is honoured here, but some "
     "programs ignore it",
     "huge": "{millions:.0f} million cells: expect long times and much memory",
-    "coarse": "{resolution:g} m per cell: poses can hardly be finer than that",
+    "coarse": "{resolution:g} m per cell: poses are rarely finer than that",
     "lossy": "{lossy} alters greys near walls; export the map as PNG",
     "transparent": "{clear:,} cells are not opaque: unknown for Nav2 (trinary and scale), "
     "averaged as a colour by ROS 1 (trinary)",

@@ -34,6 +34,7 @@ from imgloc.io.files import (
     display,
     is_file,
     is_there,
+    neighbour_hint,
     open_regular,
     refuse_existing,
     write_bytes_atomic,
@@ -41,6 +42,7 @@ from imgloc.io.files import (
 )
 from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, decode_image, encode_png, read_image
 from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml, parse_map_yaml
+from imgloc.io.remote import is_address, local
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 from imgloc.options import Reading
 
@@ -122,7 +124,7 @@ def load_map(
     MapError, ConfigError
         A file is missing, damaged, too large or contradicts itself; an argument is out of range.
     """
-    settings = resolve_settings(named_map(path), **reading)
+    settings = resolve_settings(named_map(local(path, MapError)), **reading)
     if said := other_frame(settings):
         _LOG.warning("%s: %s", display(settings.image), said)
     most = reading.get("max_pixels", MAX_PIXELS)
@@ -400,10 +402,12 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         try:
             os.close(open_regular(said.image, MapError, "map image"))
         except MapError as e:
-            there = re.split(r"[/\\]", str(said.image))[-1]
-            hint = ""
+            *_, there = re.split(r"[/\\]", str(said.image))
+            hint = neighbour_hint(file.parent / there) if said.image.parent != file.parent else ""
             if is_file(file.parent / there):
                 hint = f"; {display(there)} lies beside the YAML: write 'image: {display(there)}'"
+            if is_address(os.path.relpath(said.image, file.parent)):
+                hint += "" if hint else "; it is an address: download it first"
             raise MapError(f"{e}; {name} names it as its image{hint}") from None
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     return _settings(written, given, name, bare=said is None)

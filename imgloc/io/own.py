@@ -238,7 +238,7 @@ def open_arrays(path: PathLike, *, limit: int, what: str) -> Iterator[tuple[Any,
                 yield archive, size
         except ValueError as e:
             if "pickle" in str(e):
-                raise ValueError("it holds objects, not numbers") from None
+                raise ValueError("it contains objects, not numbers") from None
             raise
 
 

@@ -42,6 +42,7 @@ from imgloc.io.files import (
     reason,
     write_bytes_atomic,
 )
+from imgloc.io.remote import local
 from imgloc.io.scanset import (
     KEYS,
     MAX_READINGS,
@@ -55,7 +56,7 @@ from imgloc.io.scanset import (
 )
 from imgloc.io.text import open_text, unmarked
 from imgloc.io.textscans import read_jsonl, text_size
-from imgloc.model import FloatArray
+from imgloc.model import FloatArray, Pose2D
 from imgloc.options import MAX_BAD, Logs
 
 _MAX_BYTES = 16 * MAX_READINGS
@@ -70,6 +71,7 @@ def load_scans(
     height: Height | None = None,
     odom: str | None = None,
     range_max: float | None = None,
+    sensor: Pose2D | None = None,
 ) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
@@ -104,9 +106,12 @@ def load_scans(
         for none, because the scans are to tell the motion.
     range_max : float, optional
         Reach of the sensor, in the unit of the file, where that of the file cannot be: 0, or NaN.
+    sensor : Pose2D, optional
+        Where the sensor sits on the robot, in place of what the file contains.
     """
     how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
-    with stated(how):
+    path = local(path)
+    with stated(how, sensor):
         return _kind(path, topic).read(path, how)
 
 
@@ -384,7 +389,7 @@ def _check_header(
         hint = (
             "which are never loaded; expected numbers (save rows of equal length, padded with NaN)"
         )
-        raise ScanError(f"{name}: {key}: holds pickled objects, {hint}")
+        raise ScanError(f"{name}: {key}: contains pickled objects, {hint}")
     if dtype.kind not in "fiu":
         raise wrong(f"{name}: {key}", f"type {str(dtype)[:60]}", "numbers")
     if not all(type(n) is int and n >= 0 for n in shape):  # NumPy lets a bool pass

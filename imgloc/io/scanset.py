@@ -19,6 +19,7 @@ from imgloc.model import (
     FloatArray,
     LaserScan,
     Pose2D,
+    check_mount,
     freeze,
     wrapped_pose,
 )
@@ -192,11 +193,15 @@ def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
 
 
 _STATED: ContextVar[Logs] = ContextVar("stated", default=Logs())  # noqa: B039, it is frozen
+MOUNTED: ContextVar[Pose2D | None] = ContextVar("mounted", default=None)
+"""Where the sensor is stated to sit, while a file is read."""
 
 
 @contextlib.contextmanager
-def stated(how: Logs) -> Iterator[None]:
-    """Let what is stated about a file that is read win over what it says that cannot be.
+def stated(how: Logs, sensor: Pose2D | None = None) -> Iterator[None]:
+    """Let what is stated about a file win over what the file contains.
+
+    `sensor` replaces every mount; the other settings replace values that cannot be.
 
     Examples
     --------
@@ -205,11 +210,12 @@ def stated(how: Logs) -> Iterator[None]:
     ...     collect([("a", entry)], "a")[0].range_max
     9.0
     """
-    token = _STATED.set(how)
+    token, mounted = _STATED.set(how), MOUNTED.set(sensor)
     try:
         yield
     finally:
         _STATED.reset(token)
+        MOUNTED.reset(mounted)
 
 
 def reach_of(value: Any, where: str, low: float = 0.0) -> float:
@@ -263,7 +269,7 @@ def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) ->
             beside[key].append(pose)
     bad.check(len(scans))
     if not scans:
-        raise ScanError(f"{name}: holds no scan, expected one per line")
+        raise ScanError(f"{name}: contains no scan, expected one per line")
     known = {key: _known(np.array(poses)) for key, poses in beside.items()}
     if known["pose"] is not None and (there := np.isfinite(known["pose"][:, 0])).sum() < len(scans):
         some = f"in {there.sum()} of {len(scans)} scans"
@@ -322,10 +328,10 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     low, high = given.get("range_min", 0.0), entry.get("range_max")
     _check_limits(low, math.inf, where)
     high = math.inf if high is None else reach_of(high, f"{where}: range_max", low)
-    stamp, mount = given.get("stamp", math.nan), entry.get("mount")
+    stamp, mount = given.get("stamp", math.nan), MOUNTED.get() or entry.get("mount")
     _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
-        mount = wrapped_pose(*_pose(mount, where, "mount"))
+        mount = _mount(mount, where)
     laser = entry.get("laser", "")
     if not isinstance(laser, str):
         raise wrong(f"{where}: laser", repr(laser)[:40], "the name of the laser, a text")
@@ -333,6 +339,17 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         return LaserScan(ranges, angles, low, high, stamp, mount, pace, laser)
     except ConfigError as error:
         raise ScanError(f"{where}: {error}") from None
+
+
+def _mount(value: Any, where: str) -> Pose2D:
+    try:
+        pose = wrapped_pose(*_pose(value, where, "mount"))
+        check_mount(pose, "mount")
+    except (ConfigError, ScanError) as error:
+        text = str(error)
+        text = text if text.startswith(where) else f"{where}: {text}"
+        raise ScanError(f"{text}; or pass `sensor`") from None
+    return pose
 
 
 def _check_pace(pace: float, rays: int, name: str) -> None:
@@ -444,12 +461,13 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
 
 def _mounts(mount: FloatArray | None, n: int, name: str) -> list[Pose2D | None]:
     """Where the sensor of each of `n` scans sits, from an array (3,) or (n, 3) with NaNs."""
-    if mount is None:
-        return [None] * n
+    if mount is None or MOUNTED.get() is not None:
+        return [MOUNTED.get()] * n
     if mount.shape not in ((3,), (n, 3)):
-        raise wrong(f"{name}: mount", f"shape {mount.shape}", f"(3,) or {(n, 3)}")
+        expected = f"(3,) or {(n, 3)}; or pass `sensor`"
+        raise wrong(f"{name}: mount", f"shape {mount.shape}", expected)
     rows = np.broadcast_to(mount, (n, 3))
-    return [None if np.isnan(r).all() else wrapped_pose(*_pose(r, name, "mount")) for r in rows]
+    return [None if np.isnan(r).all() else _mount(r, name) for r in rows]
 
 
 def _lasers(laser: FloatArray | None, n: int, name: str) -> list[str]:

@@ -63,8 +63,8 @@ def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
         if commas > 4 * MAX_RAYS * max(braces, 1):
             raise ScanError(f"{name}: {commas:,} values, expected at most {MAX_RAYS:,} a scan")
         if braces < 2 or not _is_json(lines.numbered[0][1]) or len(lines.numbered) == 1:
-            whole = _json(text, name)
-            items = whole if isinstance(whole, list) else _listed(whole)
+            values = _values(text, name)
+            items = [item for value in values for item in _listed(value)]
             found = ((f"{name}: scan {i}", item) for i, item in enumerate(items))
     for where, item in found:
         try:
@@ -91,8 +91,28 @@ def _is_json(text: str) -> bool:
     return False
 
 
+def _values(text: str, name: str) -> list[Any]:
+    """The JSON values of a file: one, or several one after the other, each on several lines."""
+    values, at, decoder = list[Any](), 0, json.JSONDecoder()
+    try:
+        while at < len(text):
+            value, at = decoder.raw_decode(text, at)
+            at += len(text[at:]) - len(text[at:].lstrip())
+            values.append(value)
+    except (ValueError, RecursionError) as e:
+        raise ScanError(f"{name}: not valid JSON: {e}") from None
+    return values
+
+
 def _listed(whole: Any) -> list[Any]:
     """The scans of one JSON value: itself, or those that it lists."""
+    if isinstance(whole, list):
+        return whole
+    ranges = whole.get("ranges") if isinstance(whole, dict) else None
+    if isinstance(ranges, list) and ranges and all(isinstance(row, list) for row in ranges):
+        stamps = whole.pop("stamps", None) or [None] * len(ranges)
+        pairs = zip(ranges, stamps, strict=False)
+        return [{**whole, "ranges": row, "stamp": stamp} for row, stamp in pairs]
     lists = [v for v in whole.values() if isinstance(v, list)] if isinstance(whole, dict) else []
     inside = [v for v in lists if v and all(isinstance(item, dict) for item in v)]
     return inside[0] if len(inside) == 1 and "ranges" not in whole else [whole]

@@ -18,20 +18,14 @@ from imgloc.geometry import cell_of, inside, rotation, transform_points
 from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings
 from imgloc.lab.align import SCALES, Alignment
-from imgloc.model import FloatArray, GridInfo, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.output.canvas import (
-    INK,
-    PAPER,
-    SHADE,
-    Colour,
-    legend,
-    scale_bar,
-    sheet,
-)
+from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
+from imgloc.output.axes import finished
+from imgloc.output.canvas import INK, PAPER, SHADE, Colour, building, sheet
 from imgloc.output.pictures import Picture
 
 BOTH, ONLY_A, ONLY_B = INK, (178, 114, 0), (0, 94, 213)
 _SEEN: Colour = (247, 245, 243)  # free in one of them
+_NEAR = 0.2  # metres between walls that count as the same
 _LARGEST = 4000  # cells of the picture along a side
 _MOST = 16 << 20  # bytes of a CSV of poses
 _HEADINGS = ("theta", "yaw")
@@ -224,19 +218,28 @@ def draw_alignment(
     image[:] = SHADE
     image[free_a | free_b] = _SEEN
     image[free_a & free_b] = PAPER
-    near = 0.2 / cell
+    near = _NEAR / cell
     beside_a, beside_b = (distance_image(wall) <= near for wall in (wall_a, wall_b))
     image[wall_a] = ONLY_A
     image[wall_b] = ONLY_B
     image[(wall_a & beside_b) | (wall_b & beside_a)] = BOTH
-    canvas = sheet(image, GridInfo(height, width, cell), None)
-    scale_bar(canvas)
+    left, bottom = transform_points(a.origin, low[None])[0]
+    shown = OccupancyGrid(
+        wall_a | wall_b,
+        (free_a | free_b) & ~(wall_a | wall_b),
+        cell,
+        Pose2D(left, bottom, a.origin.theta),
+    )
+    canvas = sheet(image, shown.info, building(shown)[1])
     entries = [
-        (BOTH, "walls of both"),
+        (BOTH, f"walls of both, at most {_NEAR:g} m apart: {100 * place.agreement.share:.0f} %"),
         (ONLY_A, f"only in {names[0]}"),
         (ONLY_B, f"only in {names[1]}"),
+        (_SEEN, "seen in one of them"),
     ]
-    return Picture(legend(canvas.image, entries))
+    at = f"x {x:.2f} m, y {y:.2f} m, turned by {math.degrees(theta):.1f} degrees"
+    title = f"{names[1]} in the frame of {names[0]}: {found.verdict}, {at}"
+    return Picture(finished(canvas, shown, title, entries))
 
 
 def _corners(grid: OccupancyGrid) -> FloatArray:

@@ -42,20 +42,24 @@ class Spot:
     turn: float  #: radians from the true heading to that of the best hypothesis; NaN without one
     twin: Pose2D | None  #: the best hypothesis that is not the true pose, map frame
     twin_mass: float
+    places: int = 1  #: places that fit: the fewest with the mass of a unique answer
 
     @property
     def row(self) -> list[object]:
         """Values of :data:`imgloc.lab.atlas_rows.COLUMNS`."""
         twin = (None,) * 3 if self.twin is None else (self.twin.x, self.twin.y, self.twin.theta)
         pose = (self.pose.x, self.pose.y, self.pose.theta)
-        return [*pose, self.kind, self.mass, self.error, self.turn, *twin, self.twin_mass]
+        found = (self.mass, self.error, self.turn, *twin, self.twin_mass, self.places)
+        return [*pose, self.kind, *found]
 
     @classmethod
     def of(cls, row: Sequence[Any]) -> "Spot":
         """The spot of a row; numbers that a journal leaves empty become NaN."""
         mass, error, turn = (float("nan") if v is None else float(v) for v in row[4:7])
         twin = None if row[7] is None else Pose2D(*row[7:10])
-        return cls(Pose2D(*row[:3]), str(row[3]), mass, error, turn, twin, float(row[10]))
+        return cls(
+            Pose2D(*row[:3]), str(row[3]), mass, error, turn, twin, float(row[10]), int(row[11])
+        )
 
 
 def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: float) -> FloatArray:
@@ -272,4 +276,6 @@ def _spot(features: MapFeatures, pose: Pose2D, scan: LaserScan, options: Options
     others = np.flatnonzero(~right)
     twin = answer.hypotheses[others[0]] if len(others) else None
     twin_pose, twin_mass = (None, 0.0) if twin is None else (twin.pose, float(twin.mass))
-    return Spot(truth, kind, float(mass[right].sum()), error, turn, twin_pose, twin_mass)
+    places = 1 + int(np.count_nonzero(np.cumsum(mass) < options.trust.mass))
+    share = float(mass[right].sum())
+    return Spot(truth, kind, share, error, turn, twin_pose, twin_mass, places)

@@ -14,11 +14,11 @@ from imgloc.io.own import parse_json
 
 COLUMNS = (
     "x", "y", "theta", "kind", "mass", "error", "turn", "twin_x", "twin_y", "twin_theta",
-    "twin_mass",
+    "twin_mass", "places",
 )  # fmt: skip
 """Map frame, metres and radians; kind is unique, ambiguous, no-match or wrong."""
 _KIND = frozenset({"unique", "ambiguous", "no-match", "wrong"})
-_ROW = [float] * 3 + [_KIND] + [(float, None)] * 6 + [float]
+_ROW = [float] * 3 + [_KIND] + [(float, None)] * 6 + [float] * 2
 _MOST = 1 << 26  # most bytes of a journal, ten times those of the largest atlas
 
 
@@ -27,8 +27,8 @@ def as_csv(rows: Sequence[Sequence[object]]) -> str:
 
     Examples
     --------
-    >>> as_csv([(1.0, 2.5, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0)]).split()[1]
-    '1.0,2.5,0.0,unique,1.0,0.01,0.0,,,,0.0'
+    >>> as_csv([(1.0, 2.5, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0, 1)]).split()[1]
+    '1.0,2.5,0.0,unique,1.0,0.01,0.0,,,,0.0,1'
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

@@ -372,7 +372,7 @@ def fit_depth(
 
 
 def _middle(values: FloatArray) -> tuple[float, float]:
-    """Median of some values, and its standard error if they are those of a Gaussian."""
+    """Median of some values, and its standard error, assuming a Gaussian."""
     middle = float(np.median(values))
     spread = 1.4826 * float(np.median(np.abs(values - middle)))
     return middle, 1.2533 * spread / float(np.sqrt(len(values)))

@@ -9,58 +9,79 @@ from imgloc.geometry import in_grid_frame
 from imgloc.io.images import encode_picture
 from imgloc.lab.atlas import Spot
 from imgloc.lab.changes import Changes
-from imgloc.model import OccupancyGrid
+from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.output.axes import finished
 from imgloc.output.canvas import (
     INK,
     PAPER,
     SHADE,
     Colour,
     Image,
-    legend,
+    building,
     map_canvas,
-    scale_bar,
     sheet,
 )
 
-# Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their lightness.
 ATLAS_COLOURS: Mapping[str, Colour] = {
-    "unique": (178, 114, 0),
-    "ambiguous": (0, 159, 230),
+    "unique": (210, 150, 60),
+    "ambiguous": (150, 165, 255),
     "no-match": (190, 190, 190),
     "wrong": (0, 0, 0),
 }
+"""By verdict; several places are the redder the more there are, see :data:`REDS`."""
+REDS: Sequence[tuple[int, Colour, str]] = (
+    (2, ATLAS_COLOURS["ambiguous"], "2 places fit"),
+    (4, (70, 80, 235), "3 or 4 places"),
+    (1 << 30, (25, 25, 140), "5 or more places"),
+)
+"""Up to how many places that fit, the colour and the words. In grey they get darker, too."""
 _UNSEEN: Colour = (190, 186, 182)
-_MEANINGS = ("one scan is enough", "several places fit", "not recognized", "wrong, but sure")
+_MEANINGS = {
+    "unique": "one scan is enough",
+    "no-match": "not recognized",
+    "wrong": "sure, but wrong",
+}
 
 
-def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int) -> Image:
-    """Draw where a single scan is enough.
+def _red(places: int) -> int:
+    return next(k for k, (most, _, _) in enumerate(REDS) if places <= most)
+
+
+def draw_atlas(
+    grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int, title: str = ""
+) -> Image:
+    """Draw where a single scan is enough, and where it is not by how many places fit.
 
     Places are `step` metres apart. Each of the `headings` at a place has a wedge that points along
-    it. A thin line leads from an ambiguous spot to its twin.
+    it.
     """
-    canvas = map_canvas(grid)
-    local = [in_grid_frame(spot.pose, grid) for spot in spots]
-    kinds = [spot.kind for spot in spots]
-    twins = [s.twin if s.kind == "ambiguous" else None for s in spots]
-    pairs = [(a, in_grid_frame(b, grid)) for a, b in zip(local, twins, strict=True) if b]
-    if lines := [((a.x, a.y), (b.x, b.y)) for a, b in pairs]:
-        layer = canvas.image.copy()
-        canvas.lines(np.array(lines), ATLAS_COLOURS["ambiguous"])
-        cv2.addWeighted(canvas.image, 0.25, layer, 0.75, 0, dst=canvas.image)
+    canvas = map_canvas(grid, building(grid)[1])
     half = min(np.pi / headings, np.pi / 2) * 0.94
     arc = np.linspace(-half, half, 9)
-    for pose, kind in zip(local, kinds, strict=True):
+    for spot in spots:
+        pose = in_grid_frame(spot.pose, grid)
+        sure = spot.kind != "ambiguous"
+        colour = ATLAS_COLOURS[spot.kind] if sure else REDS[_red(spot.places)][1]
         rim = 0.46 * step * np.column_stack((np.cos(arc + pose.theta), np.sin(arc + pose.theta)))
-        canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), ATLAS_COLOURS[kind])
-    scale_bar(canvas)
-    shares = {kind: 100 * kinds.count(kind) / max(1, len(kinds)) for kind in ATLAS_COLOURS}
+        canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), colour)
+    walls = cv2.resize(grid.occupied[::-1].view(np.uint8), canvas.image.shape[1::-1],
+                       interpolation=cv2.INTER_NEAREST)  # fmt: skip
+    canvas.image[walls > 0] = INK
+    kinds = [spot.kind for spot in spots]
+    share = 100 / max(1, len(spots))
     entries = [
-        (ATLAS_COLOURS[kind], f"{meaning}: {share:.1f} %")
-        for (kind, share), meaning in zip(shares.items(), _MEANINGS, strict=True)
-        if share > 0 or kind in ("unique", "ambiguous")
+        (ATLAS_COLOURS[kind], f"{meaning}: {share * kinds.count(kind):.1f} %")
+        for kind, meaning in _MEANINGS.items()
+        if kind in kinds or kind == "unique"
     ]
-    return legend(canvas.image, entries)
+    reds = [_red(spot.places) for spot in spots if spot.kind == "ambiguous"]
+    entries[1:1] = [
+        (colour, f"{words}: {share * reds.count(k):.1f} %")
+        for k, (_, colour, words) in enumerate(REDS)
+    ]
+    entries += [(PAPER, "wedge: the way that the robot looks")] * (headings > 1)
+    title = title or f"Is one scan enough? {len(spots):,} scans, {step:g} m apart"
+    return finished(canvas, grid, title, entries)
 
 
 def draw_survey(
@@ -73,8 +94,8 @@ def draw_survey(
 GONE, NEW = (0, 94, 213), (178, 114, 0)
 
 
-def draw_changes(changes: Changes) -> Image:
-    """Draw a map with its walls that are gone and with the surfaces that are new."""
+def draw_changes(changes: Changes, title: str = "") -> Image:
+    """Draw a map with its walls that are gone and the surfaces that are new, a ring around each."""
     grid, seen = changes.grid, changes.seen
     looked = (seen.near > 0) | (seen.passed > 0)
     colours = np.empty((*grid.occupied.shape, 3), np.uint8)
@@ -83,16 +104,27 @@ def draw_changes(changes: Changes) -> Image:
     colours[grid.occupied] = _UNSEEN
     colours[grid.occupied & looked] = INK
     colours[changes.gone], colours[changes.new] = GONE, NEW
-    canvas = sheet(colours, grid.info, None)
-    scale_bar(canvas)
-    share = changes.gone_share
+    canvas = sheet(colours, grid.info, building(grid)[1])
+    turn = np.linspace(0, 2 * np.pi, 33)
+    ring = np.column_stack((np.cos(turn), np.sin(turn)))
+    for piece in changes.pieces:
+        at = in_grid_frame(Pose2D(piece.x, piece.y), grid)
+        colour = GONE if piece.kind == "gone" else NEW
+        canvas.lines((ring * (0.5 + 0.7 * piece.length) + (at.x, at.y))[None], colour, 2)
+    kinds = [piece.kind for piece in changes.pieces]
+    share, gone, new = changes.gone_share, kinds.count("gone"), kinds.count("new")
     entries = [
-        (GONE, "gone" if np.isnan(share) else f"gone: {100 * share:.1f} % of the walls seen"),
-        (NEW, f"new: {changes.new_m2:.1f} m2"),
-        (INK, "wall"),
+        (
+            GONE,
+            f"gone, {gone} places"
+            + ("" if np.isnan(share) else f": {100 * share:.1f} % of the walls seen"),
+        ),
+        (NEW, f"new, {new} places: {changes.new_m2:.1f} m2"),
+        (INK, "wall that scans have seen"),
         (_UNSEEN, "wall that no scan has seen"),
     ]
-    return legend(canvas.image, entries)
+    title = title or f"What has changed, by {changes.seen.scans} scans with a sure pose"
+    return finished(canvas, grid, title, entries)
 
 
 def draw_aged(changes: Changes) -> dict[str, bytes]:

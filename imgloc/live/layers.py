@@ -117,7 +117,7 @@ def region_cells(grid: OccupancyGrid, corners: FloatArray) -> BoolArray:
     np.add.at(turns, (row, np.clip(np.ceil(at), 0, width).astype(np.intp)), 1)
     cells = np.bitwise_xor.accumulate(turns & 1, axis=1)[:, :width].view(np.bool_)
     if not cells.any():
-        raise ConfigError("region: it holds no cell of the map, expected some")
+        raise ConfigError("region: it contains no cell of the map, expected some")
     return cells
 
 

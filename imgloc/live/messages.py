@@ -20,7 +20,7 @@ _ARROW, _LETTERS, _POINT = (0.8, 0.12, 0.12), (0.0, 0.0, 0.4), (0.06, 0.06, 0.0)
 
 
 def fill(message: Any, fields: Mapping[str, Any]) -> Any:
-    """Set the fields of a message, those of the messages in it by mappings; return it."""
+    """Set the fields of a message from a nested mapping; return it."""
     for name, value in fields.items():
         if isinstance(value, Mapping):
             fill(getattr(message, name), value)

@@ -1,4 +1,4 @@
-"""When a robot is told its first pose: a small state machine, without ROS and without clocks.
+"""Decides when to publish the first pose: a small state machine, without ROS and without clocks.
 
 ========== =============================================== ========================================
 state      what it waits for                               what ends it

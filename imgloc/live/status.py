@@ -100,7 +100,7 @@ def found_along(
 
 
 def base_covariance(covariance: FloatArray, sensor: Pose2D, base: Pose2D) -> FloatArray:
-    """Covariance (3, 3) of the base's pose, of that of the sensor's; both poses in one frame.
+    """Sensor covariance (3, 3) moved to the base; both poses in one frame.
 
     Examples
     --------

@@ -8,14 +8,16 @@ import cv2
 import numpy as np
 
 from imgloc.geometry import transform_points
-from imgloc.model import FloatArray, Pose2D, inverse
+from imgloc.model import FloatArray, OccupancyGrid, Pose2D, inverse
 from imgloc.output.canvas import (
     INK,
     SHADE,
     Canvas,
     Colour,
     Image,
+    building,
     enlarged,
+    legend,
     round_length,
     text,
     text_width,
@@ -123,6 +125,20 @@ def framed(image: Image, ticks: Sequence[Tick], title: str = "") -> Image:
         text(out, "x / m", last, top + height + round(21 * f), size=size)
         text(out, "y / m", gap // 2, top + round(12 * f), size=size)
     return out
+
+
+def finished(
+    canvas: Canvas, grid: OccupancyGrid, title: str, entries: Sequence[tuple[Colour, str]] = ()
+) -> Image:
+    """Crop a picture of a whole map to the building; add axes, a title and a legend."""
+    box = canvas.pixels(building(grid)[0])
+    (left, bottom), (right, top) = np.rint(box + 0.5).astype(int).tolist()
+    corner = np.array([[left, len(canvas.image) - bottom]]) / canvas.px_per_m
+    x, y = transform_points(grid.origin, corner)[0].tolist()
+    part = Canvas(canvas.image[top:bottom, left:right].copy(), canvas.px_per_m)
+    ticks = draw_grid(part, Pose2D(x, y, grid.origin.theta))
+    image = framed(part.image, ticks, title)
+    return legend(image, entries) if entries else image
 
 
 def wrapped(words: str, width: int, size: int) -> list[str]:

@@ -28,6 +28,7 @@ TURQUOISE: Colour = (210, 220, 105)
 TRUTH: Colour = (60, 20, 220)  #: of true poses and paths
 LEGEND = 38  #: pixels that a legend of one line is high, on a picture up to 1500 pixels wide
 _SIDE = 1000  # pixels that the longer side of a small map has at least
+_LARGEST = 4000  # pixels that a part of a map may be enlarged to with all that is around it
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4  # positions are drawn to a sixteenth of a pixel
 
@@ -227,6 +228,31 @@ def map_canvas(grid: OccupancyGrid, scale: int | None = None, *, faded: bool = T
     colours = np.array([SHADE, PAPER, (146, 140, 134) if faded else INK], dtype=np.uint8)
     classes = np.where(grid.occupied, 2, grid.free.astype(np.int64))
     return sheet(colours[classes], grid.info, scale)
+
+
+def building(grid: OccupancyGrid) -> tuple[FloatArray, int]:
+    """Corners (2, 2) of what a map knows with a metre around it, grid frame, metres; and a scale.
+
+    The scale, pixels per cell, is that of :func:`sheet` for this part.
+
+    Examples
+    --------
+    >>> free = np.pad(np.ones((40, 60), bool), 100)
+    >>> corners, scale = building(OccupancyGrid(~free & False, free, 0.1))
+    >>> corners.round(3).tolist(), scale
+    ([[9.0, 9.0], [17.0, 15.0]], 13)
+    """
+    known, cell = ~grid.unknown, grid.resolution
+    sides = [np.flatnonzero(known.any(axis=axis)) for axis in (0, 1)]
+    whole = cell * np.array(known.shape[::-1])
+    if not all(map(len, sides)):
+        sides = [np.arange(n) for n in known.shape[::-1]]
+    low = [cell * side[0] - 1.0 for side in sides]
+    high = [cell * (side[-1] + 1) + 1.0 for side in sides]
+    corners = np.array([np.maximum(low, 0.0), np.minimum(high, whole)])
+    longest = float((corners[1] - corners[0]).max()) / cell
+    most = max(1, _LARGEST // max(known.shape))
+    return corners, max(1, min(16, most, -(-_SIDE // max(1, round(longest)))))
 
 
 def marker_size(canvas: Canvas) -> float:

@@ -25,7 +25,7 @@ from imgloc.io.messages import scan_to_msg
 from imgloc.io.scans import write_npz
 from imgloc.io.scanset import ScanSet
 
-_ANY = "JSON lines hold such scans: end the name in .jsonl"
+_ANY = "JSON lines can contain such scans: end the name in .jsonl"
 _TOPICS = {
     "/scan": "sensor_msgs/msg/LaserScan", "/odom": "nav_msgs/msg/Odometry",
     "/tf_static": "tf2_msgs/msg/TFMessage",

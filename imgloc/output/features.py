@@ -4,6 +4,7 @@ Each is an :data:`~imgloc.output.canvas.Image` of (H * scale, W * scale, 3) pixe
 `scale`, pixels per cell, small maps are enlarged.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from imgloc.errors import MapError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import in_grid_frame
+from imgloc.geometry import in_grid_frame, transform_points
 from imgloc.model import (
     Float32Array,
     FloatArray,
@@ -22,10 +23,15 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
+from imgloc.output.axes import finished
 from imgloc.output.canvas import (
     INK,
     PALETTE,
+    SHADE,
+    Canvas,
+    Colour,
     Image,
+    building,
     colour_bar,
     draw_map,
     map_canvas,
@@ -40,8 +46,16 @@ _GREYS: Image = np.rint(255 + np.linspace(0, 1, 64)[None, :, None] * (np.array(I
     np.uint8
 )
 
+_WALL: Colour = (146, 140, 134)
+_TITLES = {
+    "bmap": "bmap: blurred walls, in which CBML looks up endpoints",
+    "vmap": "vmap: blurred directions of walls, with which CBML-O compares those of a scan",
+    "surface": "Surface: the points of walls that can be seen, and the way that they face",
+    "visibility": "Visibility: what one point of a wall sees",
+    "distance": "Distance of each cell to the nearest wall",
+}
 #: What :func:`draw_feature` draws.
-SUBJECTS = ("map", "bmap", "vmap", "surface", "visibility", "distance")
+SUBJECTS = ("map", *_TITLES)
 
 
 def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | None = None) -> Image:
@@ -53,25 +67,34 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
     grid, lattice = features.grid, features.lattice
     if what == "map":
         return draw_map(grid)
+    if what not in SUBJECTS:
+        raise ValueError(f"cannot draw {what!r}, expected one of {', '.join(SUBJECTS)}")
+    scale, walls = building(grid)[1], [(_WALL, "wall"), (SHADE, "unknown")]
+
+    def done(image: Image, entries: Sequence[tuple[Colour, str]] = ()) -> Image:
+        """The picture of the whole map: cropped, with axes, a title and a legend."""
+        px_per_m = image.shape[1] / (grid.info.width * grid.resolution)
+        return finished(Canvas(image, px_per_m), grid, _TITLES[what], entries)
+
     if what == "bmap":
-        image = draw_bmap(features.bmap, lattice)
-        return colour_bar(image, _GREYS, ("0", "1"), "blurred walls")
+        image = done(draw_bmap(features.bmap, lattice, scale=_finer(scale, lattice, grid)))
+        return colour_bar(image, _GREYS, ("0: far from walls", "1: on a wall"), "blurred walls")
     if what in ("vmap", "surface"):
         image = (
-            draw_field(features.vmap, lattice.resolution)
+            draw_field(features.vmap, lattice.resolution, scale=_finer(scale, lattice, grid))
             if what == "vmap"
-            else draw_surface(grid, features.surface)
+            else draw_surface(grid, features.surface, scale=scale)
         )
         turn = wheel(np.linspace(-np.pi, np.pi, 73)[None], np.full((1, 73), 0.8))
-        return colour_bar(image, turn, ("-180", "180"), "normal points along, deg")
+        dots = [(INK, "dot: a wall without a sure direction")] * (not features.surface.valid.all())
+        image = done(image, walls + dots if what == "surface" else ())
+        title = "the wall faces, degrees; 0: along x, 90: along y"
+        return colour_bar(image, turn, ("-180", "180"), title)
     if what == "distance":
-        image = draw_distance(features.walls * grid.resolution, grid.info)
+        image = done(draw_distance(features.walls * grid.resolution, grid.info, scale=scale))
         ends = ("0", f"{_NEAR:g} or more")
-        return colour_bar(
-            image, _viridis(np.linspace(0, _NEAR, 64)[None]), ends, "metres to a wall"
-        )
-    if what != "visibility":
-        raise ValueError(f"cannot draw {what!r}, expected one of {', '.join(SUBJECTS)}")
+        title = "metres to a wall; a line at each metre"
+        return colour_bar(image, _viridis(np.linspace(0, _NEAR, 64)[None]), ends, title)
     surface = features.surface
     if len(surface) == 0:
         raise MapError("the map has no surface: no occupied cell borders on a free one")
@@ -86,7 +109,16 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
         there = in_grid_frame(Pose2D(*at), grid)
         best = int(np.argmin(np.hypot(*(surface.xy - (there.x, there.y)).T)))
     alpha = float(np.nan_to_num(surface.alpha[best]))
-    return draw_visibility(grid, surface.xy[best], vis[:, best], horizon=horizon, alpha=alpha)
+    point, seen = surface.xy[best], vis[:, best]
+    image = draw_visibility(grid, point, seen, horizon=horizon, alpha=alpha, scale=scale)
+    x, y = transform_points(grid.origin, point[None])[0]
+    fan = (PALETTE[4], f"what it sees; up to {horizon:g} m")
+    return done(image, [(INK, f"point of a wall, x {x:.2f} m, y {y:.2f} m"), fan, *walls])
+
+
+def _finer(scale: int, lattice: GridInfo, grid: OccupancyGrid) -> int:
+    """Pixels per cell of the lattice, for a scale of the map."""
+    return max(1, round(scale * lattice.resolution / grid.resolution))
 
 
 def draw_surface(

@@ -67,7 +67,7 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
         order = sorted(kinds, key=lambda k: (k.type.rpartition("/")[2] not in _FIRST, -k.count))
         some = [f"{k.name} ({_about(k, seconds)})" for k in order[:_SHOWN]]
         more = f" and {len(kinds) - _SHOWN} more" if len(kinds) > _SHOWN else ""
-        lines.append(("holds", ", ".join(some) + more))
+        lines.append(("contains", ", ".join(some) + more))
     if (log := facts["recording"]) is not None:
         lines.append(("taken", _taken(log)))
     lines += [

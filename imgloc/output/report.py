@@ -49,7 +49,7 @@ class Column:
     at: str | Callable[[Row], Any] = ""
 
     def of(self, row: Row) -> Any:
-        """What a row says here, as it is shown; None where it says nothing."""
+        """Displayed value of the column in a row; None where the row has none."""
         value = self.at(row) if callable(self.at) else _at(row, self.at or self.key)
         if isinstance(value, bool):
             return "yes" if value else "no"

@@ -48,12 +48,14 @@ COLOURS: dict[str, Colour] = {
 }  # fmt: skip
 START: Colour = PALETTE[2]
 SCAN: Colour = PALETTE[3]
+OFF: Colour = PALETTE[0]  #: of the way that a robot was carried
 _SIDE, _NARROW = 960, 480  # pixels of the longer side of a video at most, and of its width at least
 _CODECS = {".webm": "VP80", ".mp4": "mp4v"}
 _STEP = 3.0  # metres from scan to scan that are drawn as one way
 _MINUTES = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0)  # seconds between marks of time
 _MARKS = 12  # of them at most
 _DRAWN = 1e-3  # mass of a place that is drawn
+_LISTED = 3  # kidnappings whose lengths the legend has
 _CARRIED = 1.0  # metres beyond twice what odometry says: no driving
 
 
@@ -99,9 +101,9 @@ def draw_track(
     """Draw the path over the map, coloured by verdict, with its start, direction and minutes.
 
     While several places fit or none does, the best guess is a small dot: it is not a path. The true
-    path, poses (N, 3) of the robot in the map frame for each moment, is a thin line; it has a gap
-    where the robot got farther than odometry knows: there it was carried. Below is then the error
-    of each unique pose over time.
+    path, poses (N, 3) of the robot in the map frame for each moment, is a thin line. Where the
+    robot got farther than odometry knows it was carried: a dashed line leads there. Below is then
+    the error of each unique pose over time.
     """
     canvas = map_canvas(grid)
     ticks = draw_grid(canvas, grid.origin)
@@ -119,15 +121,26 @@ def draw_track(
         radius = 0.3 * size if m.belief.verdict == UNIQUE else 0.2 * size
         canvas.dots(xy[None], COLOURS[m.belief.verdict], radius)
     sure = [(m, xy) for m, xy in zip(guessed, at, strict=True) if m.pose is not None]
+    carried_off = list[float]()
     for (m, xy), (n, next_xy) in itertools.pairwise(sure):
-        if n.index == m.index + 1 and np.hypot(*(next_xy - xy)) < _STEP:
+        far = float(np.hypot(*(next_xy - xy)))
+        if n.index == m.index + 1 and far < _STEP:
             canvas.lines(np.stack((xy, next_xy))[None], COLOURS[UNIQUE], 2)
+        elif far > 2 * (n.metres - m.metres) + _CARRIED:
+            carried_off.append(far)
+            dashes = np.linspace(xy, next_xy, 2 * max(2, round(far * canvas.px_per_m / 16)))
+            canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
     words = _marks(canvas, sure, grid.origin.theta, moments[0].stamp if moments else math.nan)
     counts = [sum(m.belief.verdict == name for m in moments) for name in COLOURS]
     words = [
         (COLOURS[name], f"{name}: {count} of {len(moments)}")
         for name, count in zip(COLOURS, counts, strict=True)
     ] + words
+    if carried_off:
+        lengths = ", ".join(f"{far:.1f} m" for far in carried_off[:_LISTED])
+        words.append(
+            (OFF, f"dashed: carried off, {lengths}" + ", ..." * (len(carried_off) > _LISTED))
+        )
     if truth is not None:
         words.append((TRUTH, "true path"))
     image = framed(canvas.image, ticks, title)

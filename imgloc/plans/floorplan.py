@@ -595,7 +595,7 @@ def _evened(
 def _sheet(
     grey: npt.NDArray[np.uint8], resolution: float, cell: float, ink: float | None
 ) -> tuple[BoolArray, BoolArray, int]:
-    """What is drawn, and what is as dark as ink, in pixels a whole number of which are a cell.
+    """Drawn pixels, and pixels as dark as ink, resampled to whole pixels per cell.
 
     A thin line whose pixels are half white must not break; but a line is not to look like a wall.
     """
@@ -731,7 +731,7 @@ def _closed(mask: BoolArray, by: float) -> BoolArray:
 
 
 def _furniture(drawn: BoolArray, thick: float, pixel: float) -> BoolArray:
-    """What stands alone, is too thick for a wall, and encloses no room: with what is within."""
+    """Mask of furniture, filled: it stands alone, is too thick for a wall, and encloses no room."""
     labels, stats = _pieces(drawn)
     out = np.zeros_like(drawn)
     for k, (x, y, wide, high, area) in enumerate(stats[1:].tolist(), 1):

@@ -32,6 +32,7 @@ from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanE
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, is_folder, is_there, read_file
 from imgloc.io.folders import files_in, find_maps
+from imgloc.io.remote import beside, local
 from imgloc.io.scans import SCAN_ENDINGS
 from imgloc.model import plain
 from imgloc.runs.hints import Doubtful, hints_of
@@ -235,7 +236,7 @@ def _warn(texts: Iterable[str], warned: set[str]) -> None:
 
 
 class _Warnings(logging.Handler):
-    """Keeps what is warned of: the files of an item are read in a worker, which nobody hears."""
+    """Collects the warnings of a worker while it reads the files of an item."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -459,7 +460,7 @@ def find_items(
     MapError, ScanError
         If `maps` or `scans` leads nowhere.
     """
-    maps = Path(maps)
+    maps, scans = local(maps, MapError), scans and local(scans)
     for path, error in ((maps, MapError), (scans, ScanError)):
         if path is not None and not is_there(path):
             raise error(f"{display(path)}: no such file or folder")
@@ -541,8 +542,8 @@ def _pairs(path: Path, job: Job) -> list[Item]:
             raise ConfigError(f"{name}: line {line}: expected a map and scans")
         if job.with_scans is False:
             scans = None
-        where = path.absolute().parent
-        at, taken = where / map_name, None if scans is None else where / scans
+        at = beside(path, map_name, MapError)
+        taken = None if scans is None else beside(path, scans, ScanError)
         item = Item(display(map_name), None if scans is None else display(scans),
                     ((display(map_name), at),), taken)  # fmt: skip
         if items.setdefault(item.id, item) != item:

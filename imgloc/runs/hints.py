@@ -98,7 +98,7 @@ def _unique(said: Said) -> bool:
 
 
 def look_again(item: Item, job: Localize, said: Said, means: Means) -> list[Doubt]:
-    """What may be wrong with an item of which this was `said`: tried on a few of its scans."""
+    """Diagnose an item from its verdicts, `said`, and a few of its scans."""
     found = job.open(item, means.desk())
     return found.doubts(found.taken.scans, said)
 

@@ -88,7 +88,7 @@ class ScanFiles(Logs):
 
     @property
     def given(self) -> Given:
-        """What is stated about the scans, for those who look for what is wrong with them."""
+        """Settings of the scans that a diagnosis needs."""
         return Given(self.flipped, self.scale)
 
     def mounted(self, scan: LaserScan) -> LaserScan:
@@ -107,7 +107,7 @@ class ScanFiles(Logs):
 
 @dataclass(frozen=True)
 class Taken:
-    """The scans of a file that are looked at, as their sensor, mounted as said, records them."""
+    """Selected scans of a file, in metres, with mount and reach applied."""
 
     name: str  #: of the file
     scans: ScanSet
@@ -276,6 +276,7 @@ class Desk:
         recorded = load_scans(
             path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height,
             odom=files.odom, range_max=files.range_max and files.range_max / files.scale,
+            sensor=files.mount,
         )  # fmt: skip
         if files.mount is not None and len({s.laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")

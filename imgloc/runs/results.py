@@ -149,12 +149,12 @@ class Results:
             before = read_run(self.folder)
             if not resume:
                 raise OutputError(
-                    f"{self.name}: holds results already; pass `resume=True` to go on with "
+                    f"{self.name}: contains results already; pass `resume=True` to go on with "
                     "them, or another `out`"
                 )
             if before["job"] != about["job"]:
                 raise OutputError(
-                    f"{self.name}: holds results of the job {before['job']}, not of "
+                    f"{self.name}: contains results of the job {before['job']}, not of "
                     f"{about['job']}; expected another `out`"
                 )
             merged = {**before["parameters"], **about["parameters"]}

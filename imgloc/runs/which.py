@@ -87,7 +87,7 @@ class Named(Answer):
 
 
 class Choosing:
-    """Scans whose maps are named as they are asked for."""
+    """Lazy iterator of answers: the map of each scan."""
 
     index: MapIndex
 

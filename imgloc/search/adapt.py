@@ -143,9 +143,9 @@ def drawn_thick(features: MapFeatures) -> bool:
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
     """Take walls that are drawn thick for bent, unless scans fit far better with straight ones.
 
-    One scan hardly tells which walls a map has. The image does: walls that scans have shown are a
-    cell or two thick, those that others drew are several decimetres thick, and off by as much. The
-    thicker they are, the more must speak for straight walls.
+    One scan is rarely enough to tell which walls a map has. The image does: walls that scans have
+    shown are a cell or two thick, those that others drew are several decimetres thick, and off by
+    as much. The thicker they are, the more must speak for straight walls.
 
     Parameters
     ----------

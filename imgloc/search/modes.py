@@ -32,7 +32,7 @@ class Modes:
 
     @property
     def places(self) -> FloatArray:
-        """The best pose, and those of the second look, (P, 3): where another error is tried."""
+        """Start poses (P, 3) for fitting a shared error: the best, and those of the second look."""
         return np.concatenate((self.poses[:1], self.looked))
 
     @property

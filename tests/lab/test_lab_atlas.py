@@ -17,7 +17,7 @@ from command import MAPS, ROOT, call, command, rows
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.lab.atlas import TOP, Spot, atlas_poses, survey, survey_part
 from imgloc.lab.atlas_rows import COLUMNS, Journal, as_csv
-from imgloc.lab.picture import ATLAS_COLOURS, draw_atlas
+from imgloc.lab.picture import ATLAS_COLOURS, REDS, draw_atlas
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
@@ -117,18 +117,18 @@ def test_parts_of_a_survey_are_the_whole_whatever_their_length():
 
 
 def row(x: float) -> list[object]:
-    return [x, 0.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0]
+    return [x, 0.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0, 1]
 
 
 def test_a_journal_goes_on_after_a_cut_line(tmp_path: Path) -> None:
     path = tmp_path / "a.part"
     journal = Journal(path, {"step": 1})
-    journal.add([1.0, 0.0, 0.0, "no-match", 0.0, float("nan"), None, None, None, None, 0.0])
+    journal.add([1.0, 0.0, 0.0, "no-match", 0.0, float("nan"), None, None, None, None, 0.0, 1])
     journal.add(row(2.0))
     journal.close()
     path.write_text(path.read_text() + '[3.0, "half')
     again = Journal(path, {"step": 1})
-    lost = [1.0, 0.0, 0.0, "no-match", 0.0, None, None, None, None, None, 0.0]
+    lost = [1.0, 0.0, 0.0, "no-match", 0.0, None, None, None, None, None, 0.0, 1]
     assert again.rows == [lost, row(2.0)]
     again.add(row(4.0))
     again.close()
@@ -182,7 +182,7 @@ def test_a_file_of_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_csv_has_named_columns() -> None:
-    text = as_csv([(1.0, 2.0, 0.5, "no-match", 0.0, float("nan"), None, None, None, None, 0.0)])
+    text = as_csv([(1.0, 2.0, 0.5, "no-match", 0.0, float("nan"), None, None, None, None, 0.0, 1)])
     (row,) = csv.DictReader(text.splitlines())
     assert tuple(row) == COLUMNS
     assert (row["kind"], row["error"], row["twin_x"]) == ("no-match", "", "")
@@ -192,12 +192,25 @@ def test_a_wedge_points_along_its_heading() -> None:
     free = np.ones((20, 20), bool)
     grid = OccupancyGrid(~free, free, 0.1, Pose2D(1.0, 0.0, np.pi / 2))
     # In the map frame, whose x is the grid's -y: heading 0 is down in the picture.
-    pose = Pose2D(0.0, 1.0, 0.0)
-    image = draw_atlas(grid, [spot(pose, "unique")], step=1.0, headings=4)
-    blue = (image[:320] == ATLAS_COLOURS["unique"]).all(axis=2)  # 16 pixels a cell
-    y, x = np.nonzero(blue)
-    assert abs(x.mean() - 160) < 5
-    assert y.mean() > 165 + 20
+    spots = [
+        spot(Pose2D(0.0, 1.0, theta), kind) for theta, kind in ((0.0, "unique"), (np.pi, "wrong"))
+    ]
+    image = draw_atlas(grid, spots, step=1.0, headings=4)[:350]
+    down, up = (np.argwhere((image == ATLAS_COLOURS[s.kind]).all(axis=2)) for s in spots)
+    up = up[up[:, 1] > down[:, 1].min()]  # and not of the title
+    assert abs(down[:, 1].mean() - np.median(up[:, 1])) < 5
+    assert down[:, 0].mean() > np.median(up[:, 0]) + 40
+
+
+def test_the_more_places_fit_the_redder() -> None:
+    free = np.ones((30, 30), bool)
+    pose, twin = Pose2D(1.5, 1.5), Pose2D(2.0, 2.0)
+    for places, (_, colour, _) in zip((2, 3, 9), REDS, strict=True):
+        some = [Spot(pose, "ambiguous", 0.4, 0.0, 0.0, twin, 0.3, places)]
+        image = draw_atlas(OccupancyGrid(~free, free, 0.1), some, step=1.0, headings=1)
+        shown = [(image[:480] == red).all(axis=2).sum() > 99 for _, red, _ in REDS]
+        assert shown == [red == colour for _, red, _ in REDS]
+        assert Spot.of(some[0].row) == some[0]
 
 
 def test_the_legend_counts(tmp_path: Path) -> None:

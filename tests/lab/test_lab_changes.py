@@ -151,7 +151,8 @@ def test_scans_that_leave_the_map_say_nothing_of_it():
 
 def test_the_picture_has_both_colours_upside_up(moved):
     old, now = moved
-    image = draw_changes(changed(old, scanned(now, POSES)))[: 60 * 13]
+    image = draw_changes(changed(old, scanned(now, POSES)))
+    image = image[30 : 30 + 60 * 13, -6 - 80 * 13 : -6]  # below the title, right of the ticks
     for colour, (x, y) in ((GONE, (41, 33)), (NEW, (54, 17))):
         row, column = np.nonzero((image == colour).all(axis=2))
         assert np.median(column) / 13 == pytest.approx(x, abs=2)

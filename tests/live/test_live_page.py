@@ -298,15 +298,15 @@ def test_what_is_known_changes_the_answer(page: Any, log: Path) -> None:
     assert abs(shown_pose(page)[2]) > 180 - 60
     page.keyboard.press("x")
     sync.expect(page.locator("#live")).to_have_text(first)
-    page.get_by_label("Room around it").fill("0.3")
-    page.get_by_label("Room around it").press("Enter")
+    page.get_by_label("Free space around the sensor").fill("0.3")
+    page.get_by_label("Free space around the sensor").press("Enter")
     sync.expect(page.locator("#known-words")).to_have_text("At least 0.3 m from walls.")
 
 
 def test_what_is_refused_is_not_known_and_leaves_no_answer(page: Any, log: Path) -> None:
     drop(page, (log.name, log.read_bytes()))
     first = answered(page)
-    room, words = page.get_by_label("Room around it"), page.locator("#known-words")
+    room, words = page.get_by_label("Free space around the sensor"), page.locator("#known-words")
     room.fill("0.3")
     room.press("Enter")
     sync.expect(words).to_have_text("At least 0.3 m from walls.")
@@ -430,8 +430,8 @@ def test_the_copied_command_and_python_give_the_same_answer(
     answered(page)
     page.keyboard.press("k")  # what is known: about here
     answered(page)
-    page.get_by_label("Room around it").fill("0.2")
-    page.get_by_label("Room around it").press("Enter")
+    page.get_by_label("Free space around the sensor").fill("0.2")
+    page.get_by_label("Free space around the sensor").press("Enter")
     said = answered(page)
     page.get_by_role("button", name="Copy as command").click()
     text = page.evaluate("navigator.clipboard.readText()")

@@ -6,7 +6,7 @@ from pathlib import Path
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
 from imgloc.errors import ConfigError
-from imgloc.io.files import display, write_text_atomic
+from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.options import Headings, MemoryBudget, Seed, Sensor, Spacing
 from imgloc.ranges import option
 
@@ -31,7 +31,7 @@ def atlas(
     """Draw where on this map, for this lidar, a single scan is enough.
 
     Simulates a scan at each place and heading and locates it without a guess: unique (one pose, the
-    right one), ambiguous (several fit; lines lead to the twins), no-match, or wrong (unique, but
+    right one), ambiguous (several places fit, drawn red), no-match, or wrong (unique, but
     elsewhere). An interrupted run goes on where it stopped: its rows are kept in PNG.part.
     """
     from imgloc.cli import inputs
@@ -70,7 +70,8 @@ def atlas(
     finally:
         journal.close()
     spots = [Spot.of(row) for row in journal.rows]
-    picture = Picture(draw_atlas(found.grid, spots, step=step, headings=headings))
+    title = f"{map_name(map_path)}: is one scan enough? {len(spots):,} scans, {step:g} m apart"
+    picture = Picture(draw_atlas(found.grid, spots, step=step, headings=headings, title=title))
     if csv is not None:
         write_text_atomic(csv, as_csv(journal.rows), force=force)
     picture.save(out, force=force)

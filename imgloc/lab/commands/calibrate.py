@@ -73,7 +73,7 @@ def calibrate(
     ),
     fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] | None = option(
         None,
-        "Angle that a simulated scan covers, or a recorded one whose file does not hold it, "
+        "Angle that a simulated scan covers, or a recorded one whose file does not contain it, "
         "degrees. [default: 180, or the file's]",
         "--fov-deg",
     ),

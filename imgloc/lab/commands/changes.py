@@ -52,6 +52,7 @@ def changes(
     import numpy as np
 
     from imgloc.cli import inputs
+    from imgloc.io.files import map_name
     from imgloc.io.maps import save_map
     from imgloc.lab.batched import is_batch, read_batch
     from imgloc.lab.changes import map_changes
@@ -94,7 +95,8 @@ def changes(
     found = map_changes(grid, scans, np.concatenate([part.poses for part in parts]))
     count = sum(part.given for part in parts)
     if out is not None:
-        Picture(draw_changes(found)).save(out, force=force)
+        title = f"{map_name(map_path)}: changes by {found.seen.scans} scans with a sure pose"
+        Picture(draw_changes(found, title)).save(out, force=force)
     if update is not None:
         save_map(update, found.mended, force=force)
     row: dict[str, Any] = {"map": display(map_path), "given": count, **found.as_row()}

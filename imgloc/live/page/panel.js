@@ -16,7 +16,7 @@ let fading = 0;
 function sentence({ verdict, hypotheses, elsewhere, counted, counts }) {
   const [best, second] = hypotheses;
   if (verdict === "invalid") return `Only ${counts.valid} readings are distances to something.`;
-  if (!best) return "No pose that may be fits at all.";
+  if (!best) return "No allowed pose fits this scan.";
   const mass = percent(best.mass), distances = ["agrees", "orientation", "visibility", "unexplained"];
   const of = counted && distances.reduce((sum, kind) => sum + (counted[kind] ?? 0), 0);
   const held = of ? `; ${percent((counted.agrees ?? 0) / of)} of the readings end on a wall there` : "";
@@ -112,7 +112,7 @@ function showPose() {
   if (!pose || !scan) return;
   say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : chosen === -1 ? "Pose set by hand" : "Pose by the tracker");
   say($("pose-where"), poseWords(pose));
-  say($("pose-score"), fit ? `${fixed(fit.per_reading, 2)} nats a reading; a perfect fit has ${fixed(fit.best, 2)}.` : "");
+  say($("pose-score"), fit ? `Fit ${fixed(fit.per_reading, 2)} of ${fixed(fit.best, 2)} (log-likelihood per reading).` : "");
   say($("pose-against"), fit ? comparison() : "");
   say($("pose-stands"), fit && !fit.stands ? "No sensor can be here: it is in a wall, or off the map." : "");
   const counts = fit?.counts ?? {}, total = Math.max(1, Object.values(counts).reduce((sum, n) => sum + n, 0));
