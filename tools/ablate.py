@@ -12,7 +12,6 @@ some are disturbed as in :mod:`tools.trust.disturb`, and some are from no place 
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from multiprocessing import get_context
@@ -403,10 +402,9 @@ def _all_rows(
         raise ConfigError(f"--pieces: {pieces} holds answers to other scans, expected another one")
     spawn = get_context("spawn")
     for some in (names[:1], names[1:]):
-        with ProcessPoolExecutor(workers, spawn, max_tasks_per_child=1) as pool:
+        with spawn.Pool(workers, maxtasksperchild=1) as pool:
             todo = [name for name in some if not _piece(pieces, name).exists()]
-            for done in [pool.submit(measure, name, asking, pieces) for name in todo]:
-                done.result()
+            pool.starmap(measure, [(name, asking, pieces) for name in todo], chunksize=1)
     return {
         name: [Asked(**row) for row in json.loads(_piece(pieces, name).read_text("utf-8"))]
         for name in names

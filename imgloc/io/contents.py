@@ -51,5 +51,8 @@ def _digest_of(path: Path, _mtime: int, _size: int) -> str | None:
         contextlib.suppress(ImglocError, OSError),
         os.fdopen(open_regular(path, ScanError, "file"), "rb") as file,
     ):
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=20)).hexdigest()
+        digest = hashlib.blake2b(digest_size=20)
+        while block := file.read(1 << 20):
+            digest.update(block)
+        return digest.hexdigest()
     return None

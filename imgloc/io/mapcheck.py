@@ -7,7 +7,7 @@
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -32,6 +32,9 @@ from imgloc.io.maps import (
 )
 from imgloc.model import OccupancyGrid, Pose2D, plain
 from imgloc.options import Reading
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 _MANY_GREYS, _HUGE_CELLS = 16, 16_000_000
 _MOST = 10  # greys, and parts, that are listed
@@ -127,7 +130,7 @@ class MapReport:
         }
 
 
-def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
+def check_map(path: PathLike, **reading: "Unpack[Reading]") -> MapReport:
     """Look at a map that can be decoded, and report rather than refuse.
 
     Parameters

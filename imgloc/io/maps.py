@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -45,6 +45,9 @@ from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml, p
 from imgloc.io.remote import is_address, local
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 from imgloc.options import Reading
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 _LOG = logging.getLogger("imgloc")
 SEMANTICS = ("nav2", "ros1")
@@ -88,7 +91,7 @@ class MapSettings:
 
 
 def load_map(
-    path: PathLike, *, allow_lossy: bool = False, **reading: Unpack[Reading]
+    path: PathLike, *, allow_lossy: bool = False, **reading: "Unpack[Reading]"
 ) -> OccupancyGrid:
     """Load a map, be it without walls or free cells; :func:`require_usable` refuses such.
 
@@ -142,7 +145,7 @@ def map_of_bytes(
     name: str,
     *,
     allow_lossy: bool = False,
-    **reading: Unpack[Reading],
+    **reading: "Unpack[Reading]",
 ) -> OccupancyGrid:
     r"""Make a map of the contents of its files, as :func:`load_map`; no file is opened.
 
@@ -380,7 +383,7 @@ def named_map(path: PathLike) -> Path:
     return bundled if is_file(bundled) else found
 
 
-def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
+def resolve_settings(path: PathLike, **reading: "Unpack[Reading]") -> MapSettings:
     """Combine a map's YAML, if `path` is one, with options of `load_map` (which win), defaults."""
     if strange := reading.keys() - Reading.__annotations__.keys():
         raise TypeError(f"unexpected arguments: {', '.join(sorted(strange))}")

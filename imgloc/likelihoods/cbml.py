@@ -139,7 +139,7 @@ def cbml_o(
         raise ValueError(f"projections must be {expected}, got {projections.shape}")
     if view.size == 0:
         return frame.out
-    field = field[:, *frame.window]
+    field = field[(slice(None), *frame.window)]
 
     def facing(turn: FloatArray | float) -> tuple[IntArray, IntArray]:
         """Direction of each normal, and its projection: k >= 0 to add, -1 - k to subtract."""
@@ -159,7 +159,9 @@ def cbml_o(
     limit, finish = np.iinfo(np.int16).max // VMAP_LEVELS, finishing(VMAP_LEVELS, frame.where)
     if engine == "shift":
         images = (
-            project(field, directions) if projections is None else projections[:, *frame.window]
+            project(field, directions)
+            if projections is None
+            else projections[(slice(None), *frame.window)]
         )
         shift_stack(
             list(images), lambda k: merge_repeats(offsets[k], which[k]), limit, tiles, threads,

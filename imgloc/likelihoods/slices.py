@@ -93,7 +93,7 @@ def frame_of(
     if where is None:
         return Frame(out, out, (slice(0, height), slice(0, width)), None)
     window = box_of(where | marked)
-    view = out[:, *window]
+    view = out[(slice(None), *window)]
     if view.shape != out.shape:
         out.fill(0)
     return Frame(out, view, window, where[window])

@@ -16,6 +16,8 @@ from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequen
 from dataclasses import dataclass
 from typing import Any
 
+import anyio
+
 from imgloc.errors import ConfigError
 from imgloc.live.problems import Refused
 
@@ -208,7 +210,7 @@ async def read_body(
     data, ended = bytearray(), False
     stop = asyncio.ensure_future(stopping.wait())
     try:
-        async with asyncio.timeout(seconds):
+        with anyio.fail_after(seconds):
             while not ended:
                 part = asyncio.ensure_future(receive())
                 await asyncio.wait((part, stop), return_when=asyncio.FIRST_COMPLETED)

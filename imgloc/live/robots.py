@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import anyio
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from imgloc.errors import ScanError
@@ -32,7 +33,7 @@ from imgloc.robot.stamps import Heard
 class _Session:
     map: str
     heard: float  # when its last line came, by the loop
-    until: asyncio.Timeout | None = None  # while the next one is waited for
+    until: anyio.CancelScope | None = None  # while the next one is waited for
 
 
 class Robots:
@@ -118,7 +119,7 @@ class Robots:
             if until is None or oldest is None or heard > late:
                 raise Refused("busy", f"{len(self)} robots are followed", retry=5)
             self._there.remove(oldest)
-            until.reschedule(now)
+            until.deadline = now
         self._there.append(session := _Session(name, now))
         return session
 
@@ -127,7 +128,7 @@ class Robots:
         loop = asyncio.get_running_loop()
         while True:
             try:
-                async with asyncio.timeout(self._bounds.silence) as session.until:
+                with anyio.fail_after(self._bounds.silence) as session.until:
                     message = await socket.receive()
             except TimeoutError:
                 quiet = f"no line for {loop.time() - session.heard:.0f} s"

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import anyio
 import numpy as np
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -271,7 +272,7 @@ class Service:
             return
         await send({**out, "more_body": True})
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(_DRAIN):
+            with anyio.fail_after(_DRAIN):
                 while (await receive()).get("more_body", False):
                     pass
         await send({"type": "http.response.body", "body": b""})

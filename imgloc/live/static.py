@@ -2,8 +2,10 @@
 
 import hashlib
 from importlib.resources import files
-from importlib.resources.abc import Traversable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
 
 _MEDIA = {
     ".html": "text/html; charset=utf-8",
@@ -29,7 +31,7 @@ def page_files() -> dict[str, File]:
     """The files of the page by the paths at which they are served; ``/`` is its HTML."""
     found: dict[str, File] = {}
 
-    def walk(folder: Traversable, path: str) -> None:
+    def walk(folder: "Traversable", path: str) -> None:
         for one in sorted(folder.iterdir(), key=lambda f: f.name):
             if one.is_dir():
                 walk(one, f"{path}{one.name}/")

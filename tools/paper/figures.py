@@ -133,10 +133,10 @@ def draw_fields(s: Scene) -> Image:
     panels = [
         ("Map: surface points, true pose", drawn),
         ("bmap", draw_bmap(s.features.bmap[part], cut.info, scale=scale)),
-        ("Vector field", draw_field(s.features.vmap[:, *part], cell, scale=scale)),
+        ("Vector field", draw_field(s.features.vmap[(slice(None), *part)], cell, scale=scale)),
     ]
     stacks = [
-        (caption, replace(stack, values=stack.values[:, *part], grid=cut.info))
+        (caption, replace(stack, values=stack.values[(slice(None), *part)], grid=cut.info))
         for caption, stack in s.stacks
     ]
     return _panels(panels, cut, here, s.points, stacks, scale)
