@@ -55,10 +55,14 @@ def node(
     flipped: Flipped = False,
     range_max: RangeMax | None = None,
     track: bool = option(False, "Follow the robot, too, on the topics ~/pose and ~/map_odom."),
+    tf: bool = option(False, "With --track, also publish map -> odom on /tf, as AMCL does."),
     standing: bool = option(
         False,
         "Publish the pose of a robot that has not moved, by one scan that is very sure: a second "
         "look from the same place would tell nothing new.",
+    ),
+    lifecycle: bool = option(
+        False, "Wait for a lifecycle manager: configure prepares maps, activate finds the robot."
     ),
     every: Annotated[float, Within(0, 1e9, "seconds")] = option(
         0.3, "Seconds between two scans that are tried."
@@ -75,8 +79,8 @@ def node(
 
     The pose goes to /initialpose once scans along some way confirm one place. The topics
     ~/hypotheses, ~/markers, ~/status and /diagnostics say what is found until then. The services
-    ~/localize and ~/reset ask for a new pose. Every parameter can also be set by ROS:
-    --ros-args -p every:=1.0 -p use_sim_time:=true -r scan:=/front/scan. Ctrl-C ends the node.
+    ~/localize, ~/reset and /reinitialize_global_localization ask for a new pose. Every parameter
+    can also be set by ROS: --ros-args -p every:=1.0 -p use_sim_time:=true -r scan:=/front/scan.
     """
     from imgloc.live.node import Settings, load_ros, run_node
 
@@ -87,6 +91,7 @@ def node(
         flipped=flipped,
         range_max=math.inf if range_max is None else range_max,
         track=track,
+        tf=tf,
         standing=standing,
         every=every,
         tries=tries,
@@ -108,4 +113,4 @@ def node(
         makers, prepared = inputs.site_makers(paths, maps, options, folder)
 
     words = ["imgloc", *context.meta[_ROS]]
-    raise typer.Exit(run_node(ros, words, settings, makers, options, prepared))
+    raise typer.Exit(run_node(ros, words, settings, makers, options, prepared, lifecycle=lifecycle))

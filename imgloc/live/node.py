@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError, ImglocError, ScanError, printable
-from imgloc.filters.belief import LOST, one_place
+from imgloc.filters.belief import LOST, deviations_of, one_place
 from imgloc.filters.follow import BLIND, Moment
 from imgloc.io.messages import (
     frame_name,
@@ -31,6 +31,7 @@ from imgloc.io.messages import (
     link_of,
     move_of,
     planar,
+    pose_of,
     scan_from_msg,
     seconds_of,
 )
@@ -59,7 +60,10 @@ MODULES = {
     "diagnostic_msgs": "msg", "rcl_interfaces": "msg", "visualization_msgs": "msg",
     "std_srvs": "srv",
 }  # fmt: skip
-_PARTS = ("callback_groups", "clock", "duration", "exceptions", "executors", "qos", "signals")
+_PARTS = (
+    "callback_groups", "clock", "duration", "exceptions", "executors", "node", "qos", "signals",
+    "time",
+)  # fmt: skip
 MISSING = (
     "a ROS 2 node needs rclpy: source a ROS 2 whose Python is this one, or pip install "
     "'imgloc[node]'"
@@ -78,8 +82,9 @@ _NEAR, _WIDE = 0.01, 1e3  # metres and seconds at least; metres and radians at m
 _NAME = 100  # letters of a frame's name that are shown
 _MAP = "map"
 _OTHERS, _POLICIES = ("use_sim_time", "start_type_description_service"), "qos_overrides."  # rclpy's
+_PLANE = (0, 1, 5)  # x, y and yaw of a pose's covariance
 _ENDING = (signal.SIGINT, signal.SIGTERM)
-INTERRUPTED = 128 + signal.SIGINT
+_AHEAD = 1.0  # seconds that map -> odom on /tf is ahead of its scan, as that of AMCL is
 
 
 @dataclass(frozen=True)
@@ -101,6 +106,7 @@ class Settings:
     #: from it needs room for its own errors
     least_deviation: tuple[float, ...] = (0.1, 0.05)
     track: bool = False  #: follow the robot
+    tf: bool = False  #: and publish map -> odom on /tf
     #: tell a robot that stands a pose by one scan, if that is very sure
     standing: bool = False
 
@@ -120,6 +126,8 @@ class Settings:
         for name in ("map_frame", "base_frame"):
             if not frame_name(getattr(self, name)):
                 raise ConfigError(f"parameter {name}: is empty, expected the name of a frame")
+        if self.tf and not self.track:
+            raise ConfigError("parameter tf: expected track, too: map -> odom is of the tracker")
         if not all(map(math.isfinite, self.sensor)):
             raise ConfigError(f"parameter sensor: got {list(self.sensor)}, expected finite numbers")
 
@@ -155,10 +163,13 @@ def load_ros() -> Any:
         rclpy = importlib.import_module("rclpy")
     except ImportError as error:
         raise ConfigError(f"{MISSING} ({error})") from None
-    tf = None
-    with contextlib.suppress(ImportError):
-        tf = importlib.import_module("tf2_msgs.msg")
-    return SimpleNamespace(rclpy=rclpy, tf2_msgs=tf, **found)
+    some = dict[str, Any](tf2_msgs="tf2_msgs.msg", nav2_msgs="nav2_msgs.srv")  # not everywhere
+    some["lifecycle"] = "rclpy.lifecycle"
+    for name, module in some.items():
+        some[name] = None
+        with contextlib.suppress(ImportError):
+            some[name] = importlib.import_module(module)
+    return SimpleNamespace(rclpy=rclpy, **found, **some)
 
 
 def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
@@ -280,6 +291,8 @@ class LocalizerNode:
                 "sensor: missing, expected X,Y,YAW, the pose of the laser on the robot (0,0,0 if "
                 "they are equal); tf cannot give it, because tf2_msgs is not installed"
             )
+        if settings.tf and ros.tf2_msgs is None:
+            raise ConfigError("parameter tf: tf2_msgs is not installed; ~/map_odom has map -> odom")
         self.ros, self.node, self.settings, self.core = ros, node, settings, core
         self.made = Messages(ros)
         self.from_topic = from_topic
@@ -309,7 +322,9 @@ class LocalizerNode:
         self._callers = list[_Caller]()  # who waits for an answer of ~/localize
         self._said = (-1, "", 0.0)  # level and sentence that were logged last, and when
         self._ended = False
+        before = self._entities()
         self._connect()
+        self._own = {one: end for one, end in self._entities().items() if one not in before}
 
     # What is heard and said.
 
@@ -328,7 +343,7 @@ class LocalizerNode:
             laser.topic = self._hear(ros.sensor_msgs.LaserScan, name, self._scan_of(laser), sensor)
         self._hear(ros.nav_msgs.Odometry, "odom", self._on_odometry, sensor)
         if self.from_topic:
-            self._hear(ros.nav_msgs.OccupancyGrid, "map", self._on_map, latched)
+            self._map_topic = self._hear(ros.nav_msgs.OccupancyGrid, "map", self._on_map, latched)
         if ros.tf2_msgs is not None:
             still = qos.QoSProfile(depth=100, reliability=reliable, durability=latched.durability)
             on_static = partial(self._on_transforms, static=True)
@@ -344,19 +359,28 @@ class LocalizerNode:
         if self.settings.track:
             self._pose = say(geometry.PoseWithCovarianceStamped, "~/pose", 10)
             self._map_odom = say(geometry.TransformStamped, "~/map_odom", 10)
+        if self.settings.tf:
+            self._tf = say(ros.tf2_msgs.TFMessage, "/tf", 100)
         trigger = ros.std_srvs.Trigger
         beside = ros.callback_groups.ReentrantCallbackGroup()  # while one waits all else goes on
         node.create_service(trigger, "~/localize", self._on_localize, callback_group=beside)
         node.create_service(trigger, "~/reset", self._on_reset, callback_group=beside)
+        # By these names AMCL is called, by people and by behaviour trees.
+        node.create_service(
+            ros.std_srvs.Empty, "reinitialize_global_localization", self._on_reinitialize
+        )
+        if ros.nav2_msgs is not None:
+            node.create_service(ros.nav2_msgs.SetInitialPose, "set_initial_pose", self._on_set_pose)
         self._wake = node.create_guard_condition(self._guarded("answers", self._on_answers))
         steady = ros.clock.Clock(clock_type=ros.clock.ClockType.STEADY_TIME)
         node.create_timer(_LOOK, self._guarded("status", self._report), clock=steady)
 
     def _hear(self, kind: Any, topic: str, heard: Callable[[Any], None], qos: Any) -> str:
         """Listen to a topic; return its name with namespace and remapping."""
-        guarded = self._guarded(topic, heard)
         try:
-            return str(self.node.create_subscription(kind, topic, guarded, qos).topic_name)
+            name = str(self.node.resolve_topic_name(topic))
+            self.node.create_subscription(kind, topic, self._guarded(name, heard), qos)
+            return name
         except self.ros.exceptions.InvalidTopicNameException as error:
             why = str(error).splitlines()[0].removesuffix(":")
             raise ConfigError(f"parameter scan_topics: got {topic!r}: {why}") from None
@@ -645,7 +669,7 @@ class LocalizerNode:
         least = self.settings.least_deviation
         self._initial.publish(self.made.pose(pose, covariance, header, least))
         self.first.published()
-        self.node.get_logger().info(f"initialpose: {words_of(found)}")
+        self.node.get_logger().info(f"{self._initial.topic_name}: {words_of(found)}")
 
     def _take_moment(self, asked: _Asked, answer: Answer[Moment]) -> None:
         """Take what the filter believes: publish its pose while that is unique."""
@@ -667,7 +691,13 @@ class LocalizerNode:
             header = self.made.header(asked.stamp, self._map_frame)
             self._pose.publish(self.made.pose(found.poses[0], moment.covariance, header))
             if moment.map_odom is not None:
-                self._map_odom.publish(self.made.link(moment.map_odom, header, self._odom_frame))
+                link = self.made.link(moment.map_odom, header, self._odom_frame)
+                self._map_odom.publish(link)
+                if self.settings.tf:
+                    time_ = self.ros.rclpy.time.Time.from_msg(asked.stamp)
+                    ahead = time_ + self.ros.duration.Duration(seconds=_AHEAD)
+                    link.header.stamp = ahead.to_msg()
+                    self._tf.publish(self.ros.tf2_msgs.TFMessage(transforms=[link]))
         elsewhere = moment.belief.verdict == LOST and moment.metres > self.settings.metres
         if elsewhere and not self._followed and len(self.core.names) > 1:
             self._robot.reset()  # not this floor
@@ -728,11 +758,12 @@ class LocalizerNode:
             laser.topic + " (its stamp stays the same)" * laser.frozen
             for laser in self.lasers if self._silent(laser)
         ]  # fmt: skip
-        return health(
+        level, said = health(
             self.first, self.found, silent=silent, alive=len(silent) < len(self.lasers),
             errors=errors, waits=self._waits(), track=self._followed and self.settings.track,
             stands=self._stands(),
         )  # fmt: skip
+        return level, said.replace("~/", f"{self.node.get_fully_qualified_name()}/")
 
     def _silent(self, laser: Topic) -> bool:
         """Whether a laser has said nothing for too long."""
@@ -748,7 +779,7 @@ class LocalizerNode:
     def _waits(self) -> str:
         """What is lacking before a scan can be looked at."""
         if not self.core.names:
-            return "waiting for a map on the topic map"
+            return f"waiting for a map on {self._map_topic}"
         if not self.core.ready:
             return "the map is being prepared"
         for laser in self.lasers:
@@ -820,15 +851,91 @@ class LocalizerNode:
         response.success, response.message = True, "starts anew, and looks for a first pose"
         return response
 
+    def _on_reinitialize(self, _: Any, response: Any) -> Any:
+        self.start_anew(f"{self.node.resolve_service_name('reinitialize_global_localization')}")
+        return response
+
+    def _on_set_pose(self, request: Any, response: Any) -> Any:
+        """Follow the robot from a pose that somebody gives; errors are logged."""
+        self._guarded("set_initial_pose", self._start_at)(request.pose)
+        return response
+
+    def _start_at(self, message: Any) -> None:
+        frame, given = frame_name(message.header.frame_id), message.pose
+        if frame not in ("", self._map_frame):
+            raise ConfigError(f"frame_id: got {printable(frame)!r}, expected {self._map_frame}")
+        pose = pose_of(given.pose)
+        deviation = deviations_of(np.reshape(given.covariance, (6, 6))[np.ix_(_PLANE, _PLANE)])
+        self._robot.start_at(pose, deviation)
+        self.node.get_logger().info(f"follows the robot from {pose}")
+
     def close(self) -> None:
-        """Say nothing any more."""
+        """Say and hear nothing any more."""
         self._ended = True
+        for one, end in self._own.items():
+            end(one)
+
+    def _entities(self) -> dict[Any, Callable[[Any], Any]]:
+        """All that the node has, and what ends it."""
+        node = self.node
+        return {one: getattr(node, f"destroy_{kind}") for kind, there in (
+            ("publisher", node.publishers), ("subscription", node.subscriptions),
+            ("service", node.services), ("timer", node.timers), ("guard_condition", node.guards),
+        ) for one in there}  # fmt: skip
 
 
 def _still(then: Pose2D, here: Pose2D) -> bool:
     """Whether a robot that was there has hardly moved."""
     turned = abs(math.remainder(here.theta - then.theta, math.tau))
     return math.hypot(here.x - then.x, here.y - then.y) < _STILL[0] and turned < _STILL[1]
+
+
+def managed(
+    ros: Any, node: Any, prepare: Callable[[], Localizer],
+    start: Callable[[Localizer], LocalizerNode],
+) -> Any:  # fmt: skip
+    """What becomes of a lifecycle node at each transition: the entity that it manages.
+
+    `configure` fails, with the reason in the log, if a map or a setting cannot be used.
+    """
+    done = ros.lifecycle.TransitionCallbackReturn
+
+    class Managed(ros.lifecycle.ManagedEntity):  # type: ignore[misc]
+        core: Localizer | None = None
+        running: LocalizerNode | None = None
+
+        def on_configure(self, _: Any) -> Any:
+            self.core = prepare()
+            self.core.wait()
+            for error in self.core.errors.values():
+                node.get_logger().error(str(error))
+            return done.FAILURE if self.core.errors else done.SUCCESS
+
+        def on_activate(self, _: Any) -> Any:
+            try:
+                self.running = start(self.core)  # type: ignore[arg-type]  # it is configured
+            except ImglocError as error:
+                node.get_logger().error(str(error))
+                return done.FAILURE
+            return done.SUCCESS
+
+        def on_deactivate(self, _: Any) -> Any:
+            if self.running is not None:
+                self.running.close()
+                self.running = None
+            return done.SUCCESS
+
+        def on_cleanup(self, _: Any) -> Any:
+            self.on_deactivate(None)
+            if self.core is not None:
+                self.core.close()
+                self.core = None
+            return done.SUCCESS
+
+        on_shutdown = on_error = on_cleanup
+
+    node.add_managed_entity(entity := Managed())
+    return entity
 
 
 def run_node(
@@ -838,8 +945,10 @@ def run_node(
     makers: Mapping[str, Maker],
     options: Options,
     prepared: Callable[[str, Site], object] | None = None,
+    *,
+    lifecycle: bool = False,
 ) -> int:
-    """Run a node until a signal ends it; return the exit code: 0, or 130 after Ctrl-C.
+    """Run a node until a signal ends it; return the exit code, 0.
 
     Parameters
     ----------
@@ -853,13 +962,18 @@ def run_node(
         What makes each map; empty if the map is that of the topic.
     options, prepared : Options, callable
         As of :class:`~imgloc.live.localizer.Localizer`.
+    lifecycle : bool
+        Wait for a lifecycle manager: `configure` prepares the maps, `activate` answers.
     """
+    if lifecycle and ros.lifecycle is None:
+        raise ConfigError("lifecycle: this rclpy has no rclpy.lifecycle, expected Humble or later")
     asked = list[int]()
     signals = {number: signal.signal(number, lambda n, _: asked.append(n)) for number in _ENDING}
     try:
         # Its own handlers would end it in the middle of a callback.
         ros.rclpy.init(args=list(words), signal_handler_options=ros.signals.SignalHandlerOptions.NO)
-        node = ros.rclpy.create_node("imgloc", automatically_declare_parameters_from_overrides=True)
+        kind = ros.lifecycle.LifecycleNode if lifecycle else ros.node.Node
+        node = kind("imgloc", automatically_declare_parameters_from_overrides=True)
     except Exception as error:  # rclpy has a class for each kind of wrong word
         raise ConfigError(f"the arguments of ROS: {error}") from None
     with contextlib.ExitStack() as undo:
@@ -868,16 +982,25 @@ def run_node(
         undo.callback(ros.rclpy.try_shutdown)
         undo.callback(node.destroy_node)
         settings = with_parameters(ros, node, settings)
-        core = Localizer(
-            makers, options, background=True, prepared=prepared,
-            clock=lambda: float(node.get_clock().now().nanoseconds) * 1e-9,
-        )  # fmt: skip
-        undo.callback(core.close)
-        running = LocalizerNode(ros, node, settings, core, from_topic=not makers)
-        undo.callback(running.close)
+        _ = settings.mounts  # what is wrong is said before maps are prepared
+
+        def prepare() -> Localizer:
+            return Localizer(
+                makers, options, background=True, prepared=prepared,
+                clock=lambda: float(node.get_clock().now().nanoseconds) * 1e-9,
+            )  # fmt: skip
+
+        def start(core: Localizer) -> LocalizerNode:
+            return LocalizerNode(ros, node, settings, core, from_topic=not makers)
+
+        if lifecycle:
+            undo.callback(managed(ros, node, prepare, start).on_cleanup, None)
+        else:
+            undo.callback((core := prepare()).close)
+            undo.callback(start(core).close)
         executor = ros.executors.SingleThreadedExecutor()
         executor.add_node(node)
         undo.callback(executor.remove_node, node)
         while not asked:
             executor.spin_once(timeout_sec=_LOOK)
-    return INTERRUPTED if asked[0] == signal.SIGINT else 0
+    return 0

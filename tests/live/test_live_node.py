@@ -89,8 +89,8 @@ class Field:
         self.start("tools.robot", "listen", "--all", "--write", self.heard_in)
         self.until(self.heard_in.exists)
 
-    def ask(self, service: str) -> dict[str, Any]:
-        command = [sys.executable, "-m", "tools.robot", "ask", service]
+    def ask(self, service: str, command: str = "ask") -> dict[str, Any]:
+        command = [sys.executable, "-m", "tools.robot", command, service]
         done = subprocess.run(command, env=self.around, cwd=ROOT, capture_output=True, timeout=LONG)
         assert done.stdout, done.stderr
         return json.loads(done.stdout)
@@ -248,7 +248,54 @@ def test_a_robot_is_followed_and_answers_when_it_is_asked(field, log) -> None:
     assert followed.right, followed
     assert field.told(log).right
     node.send_signal(signal.SIGINT)
-    assert node.wait(LONG) == 130
+    assert node.wait(LONG) == 0
+
+
+def test_a_behaviour_trees_call_finds_a_robot_that_was_carried_off(field, log) -> None:
+    field.listen()
+    field.node(MAP, "--sensor", SENSOR)
+    player = field.play(MAP, log, "--no-map")
+    field.until(lambda: field.heard("initialpose"))
+    player.kill()
+    player.wait()
+    scans, path = imgloc.load_scans(log), field.folder / "carried.npz"
+    carried = scans.take(range(25, len(scans)))  # on the way back
+    imgloc.save_scans(path, carried)
+    field.ask("reinitialize_global_localization")
+    before = len(field.heard("initialpose"))
+    field.play(MAP, path, "--no-map")
+    field.until(lambda: len(field.heard("initialpose")) > before)
+    last = field.heard("initialpose")[-1:]
+    index = {round(one["stamp"], 6): one["index"] for one in field.played()}
+    truth = truth_of(log)[25 + index[round(last[0]["stamp"], 6)]]
+    here = np.array([[last[0]["x"], last[0]["y"], math.radians(last[0]["theta_deg"])]])
+    assert pose_errors(here, Pose2D(*truth))[0] == pytest.approx([0, 0], abs=0.2)
+
+
+def test_a_lifecycle_manager_prepares_starts_stops_and_starts_again(field, log) -> None:
+    field.listen()
+    node = field.node(MAP, "--sensor", SENSOR, "--lifecycle")
+    assert not field.ask("activate", "walk")["success"]
+    assert field.ask("configure", "walk")["success"]
+    field.play(MAP, log, "--no-map")
+    time.sleep(2.0)
+    assert not field.heard("status")  # it is not active
+    for _ in range(2):
+        before = len(field.heard("initialpose"))
+        assert field.ask("activate", "walk")["success"]
+        field.until(lambda before=before: len(field.heard("initialpose")) > before)
+        assert field.ask("deactivate", "walk")["success"]
+    assert field.told(log).right
+    assert field.ask("cleanup", "walk")["success"]
+    node.send_signal(signal.SIGINT)
+    assert node.wait(LONG) == 0
+
+
+def test_messages_name_topics_and_services_as_they_are_mapped(field) -> None:
+    node = field.node("--sensor", "0,0,0", "--ros-args", "-r", "__ns:=/r1", "-r", "scan:=/front")
+    field.until(lambda: "no scans on /front" in field.said())
+    node.send_signal(signal.SIGTERM)
+    assert node.wait(LONG) == 0
 
 
 def test_a_folder_of_floors_says_which_it_is_by_the_recorded_clock(field, log) -> None:
@@ -330,6 +377,7 @@ def test_a_listener_who_hears_nothing_ends_at_ctrl_c(field) -> None:
         ),
         ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every"), 2, "the arguments of ROS: "),
         (("visibility",), 2, "sensor: missing"),
+        ((MAP, "--sensor", "0,0,0", "--tf"), 2, "parameter tf: expected track, too"),
         (("nowhere.yaml", "--sensor", "0,0,0"), 3, "nowhere.yaml: no such file"),
     ],
 )

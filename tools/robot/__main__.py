@@ -4,6 +4,8 @@
     python -m tools.robot play MAP LOG           # the same of a log with stamps, in its own time
     python -m tools.robot listen                 # prints what comes on /initialpose
     python -m tools.robot ask localize           # calls a service of the node
+    python -m tools.robot walk configure         # a transition of a node with --lifecycle
+    python -m tools.robot restart -n 3000        # a remembered pose, checked by one scan
     python -m tools.robot kill LOG MAP X,Y,YAW   # kills node or player at random moments
 
 Other machines hear nothing of it, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set: a played /map and
@@ -16,7 +18,9 @@ follows the log from X,Y,YAW, where the robot was at its beginning: these poses 
 
 import argparse
 import contextlib
+import importlib
 import json
+import math
 import os
 import sys
 import time
@@ -30,8 +34,12 @@ from imgloc.live.node import load_ros
 from tools.robot.kill import kill_loop
 from tools.robot.listen import Listener
 from tools.robot.play import DISTURBED, FROZEN, WORLD, Player, Playing, to_and_fro, write_to
-from tools.script import ended, parser_of
+from tools.robot.restart import Start, rows_of, starts
+from tools.script import at_least_one, ended, parser_of, table_lines
 
+REINITIALIZE = "reinitialize_global_localization"
+TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
+"""Of lifecycle_msgs/Transition."""
 _TURN = 0.1  # seconds from Ctrl-C to the end at most
 
 
@@ -39,10 +47,9 @@ def main() -> int:
     """Parse the command line and do what it says."""
     parser = parser_of("tools.robot", __doc__)
     commands = parser.add_subparsers(required=True)
-    play, listen, ask, kill = (
-        _command(commands, name, work)
-        for name, work in (("play", _play), ("listen", _listen), ("ask", _ask), ("kill", _kill))
-    )
+    named = {"play": _play, "listen": _listen, "ask": _ask, "walk": _walk,
+             "restart": _restart, "kill": _kill}  # fmt: skip
+    play, listen, ask, walk, restart, kill = (_command(commands, *one) for one in named.items())
     play.add_argument("map", nargs="?", type=Path)
     play.add_argument("log", nargs="?", type=Path)
     play.add_argument("--free-thresh", type=float, help="of the map")
@@ -62,7 +69,11 @@ def main() -> int:
     play.add_argument("--write", type=Path, help="JSONL: index and stamp of each scan")
     listen.add_argument("--all", action="store_true", help="status, diagnostics, track too")
     listen.add_argument("--write", type=Path, help="JSONL, instead of standard output")
-    ask.add_argument("service", choices=("localize", "reset"))
+    ask.add_argument("service", choices=("localize", "reset", REINITIALIZE))
+    walk.add_argument("transition", choices=TRANSITIONS)
+    restart.add_argument("-n", type=int, default=3000, help="starts (default: %(default)s)")
+    restart.add_argument("--seed", type=int, default=0)
+    restart.add_argument("--seconds", type=float, default=math.inf, help="to stop after")
     kill.add_argument("log", type=Path)
     kill.add_argument("map", type=Path)
     kill.add_argument("start")
@@ -146,19 +157,48 @@ def _spin(ros: Any, node: Any, done: Callable[[], bool]) -> int:
 
 def _ask(given: argparse.Namespace) -> int:
     ros, node = _node("asker")
-    trigger = ros.std_srvs.Trigger
-    client = node.create_client(trigger, f"imgloc/{given.service}")
+    empty = given.service == REINITIALIZE
+    kind = ros.std_srvs.Empty if empty else ros.std_srvs.Trigger
+    name = given.service if empty else f"imgloc/{given.service}"
+    answer, seconds = _call(ros, node, kind, name, kind.Request())
+    success, message = (True, "") if empty else (answer.success, answer.message)
+    print(json.dumps({"success": success, "message": message, "seconds": seconds}))
+    return 0 if success else 1
+
+
+def _walk(given: argparse.Namespace) -> int:
+    ros, node = _node("manager")
+    kind = importlib.import_module("lifecycle_msgs.srv").ChangeState
+    request = kind.Request()
+    request.transition.id = TRANSITIONS[given.transition]
+    answer, seconds = _call(ros, node, kind, "imgloc/change_state", request)
+    print(json.dumps({"success": answer.success, "seconds": seconds}))
+    return 0 if answer.success else 1
+
+
+def _call(ros: Any, node: Any, kind: Any, name: str, request: Any) -> tuple[Any, float]:
+    """The answer of a service, and the seconds that it took."""
+    client = node.create_client(kind, name)
     if not client.wait_for_service(timeout_sec=10.0):
-        raise ConfigError(f"no node answers imgloc/{given.service}")
-    begin, asked = time.monotonic(), client.call_async(trigger.Request())
+        raise ConfigError(f"no node answers {name}")
+    begin, asked = time.monotonic(), client.call_async(request)
     _spin(ros, node, lambda: asked.done() or time.monotonic() > begin + 30.0)
     seconds = round(time.monotonic() - begin, 3)
-    answer = asked.result() if asked.done() else None
-    if answer is None:
-        raise ConfigError(f"imgloc/{given.service}: no answer in {seconds:g} s")
-    said = {"success": answer.success, "message": answer.message, "seconds": seconds}
-    print(json.dumps(said))
-    return 0 if answer.success else 1
+    if not asked.done():
+        raise ConfigError(f"{name}: no answer in {seconds:g} s")
+    return asked.result(), seconds
+
+
+def _restart(given: argparse.Namespace) -> int:
+    at_least_one(n=given.n)
+    every, until = list[Start](), time.monotonic() + given.seconds
+    for one in starts(given.n, given.seed):
+        every.append(one)
+        if time.monotonic() > until:
+            break
+    head = "case | starts | restored | moved | refused | wrong | median ms | most ms"
+    print(*table_lines(head, rows_of(every)), sep="\n")
+    return int(any(one.wrong for one in every))
 
 
 def _kill(given: argparse.Namespace) -> int:

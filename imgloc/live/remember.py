@@ -1,0 +1,98 @@
+"""The pose that a robot had when it was switched off, checked by a scan when it starts again.
+
+Nothing tells how long it was off and whether it was carried meanwhile, so one scan is looked for on
+the whole map, as if nothing were known. Only where that answer is sure is a pose taken from it:
+
+=========  =====================================================================================
+restored   on the same map the scan is sure of one place, and it is the remembered one
+moved      the scan alone is very sure of another place, or of any place on another map
+refused    else: what is remembered counts for nothing
+=========  =====================================================================================
+
+>>> kept = Kept("hall", "5f" * 20, Pose2D(3.0, 2.0), 1000.0)
+>>> Kept.read(kept.text.encode(), "robot.json") == kept
+True
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from imgloc.errors import ConfigError
+from imgloc.filters.belief import one_place
+from imgloc.io.calibration import map_hash
+from imgloc.io.files import PathLike, display, is_there, read_file, write_text_atomic
+from imgloc.io.own import parse_json
+from imgloc.live.policy import alone
+from imgloc.model import Localization, OccupancyGrid, Pose2D, base_of
+
+RESTORED, MOVED, REFUSED = "restored", "moved", "refused"
+_PLACE = {"x": float, "y": float, "theta": float}
+_KIND: dict[str, Any] = {"map": str, "identity": str, "pose": _PLACE, "stamp": float}
+_MOST = 1 << 16  # bytes
+
+
+def identity(grid: OccupancyGrid) -> str:
+    """What tells one map from another: its cells, resolution and origin."""
+    return f"{map_hash(grid)} {grid.origin.x:.6g} {grid.origin.y:.6g} {grid.origin.theta:.6g}"
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A sure pose of the robot's base, and on which map it was."""
+
+    map: str  #: name
+    identity: str  #: of :func:`identity`
+    pose: Pose2D  #: map frame
+    stamp: float  #: of its scan, seconds
+
+    @property
+    def text(self) -> str:
+        """It as JSON."""
+        return json.dumps(asdict(self)) + "\n"
+
+    @classmethod
+    def read(cls, data: bytes, name: str) -> "Kept":
+        """It of its text; a ConfigError, which names the file, of anything else."""
+        try:
+            found = parse_json(data, _KIND)
+        except ValueError as error:
+            expected = "expected a pose that imgloc has remembered; remove it, or name another file"
+            raise ConfigError(f"{name}: {error}; {expected}") from None
+        return cls(**{name: found[name] for name in _KIND} | {"pose": Pose2D(**found["pose"])})
+
+    def save(self, path: PathLike) -> None:
+        """Write it: a reader sees the old file or the new one, never half of it."""
+        write_text_atomic(path, self.text, force=True)
+
+
+def load_kept(path: PathLike) -> Kept | None:
+    """What a file remembers; None if there is no file yet."""
+    if not is_there(path):
+        return None
+    name = display(path)
+    return Kept.read(read_file(path, limit=_MOST, error=ConfigError, what="file"), name)
+
+
+def checked(kept: Kept, answer: Localization, map_identity: str) -> tuple[str, Pose2D | None]:
+    """Whether a remembered pose holds, by the answer of a first scan on the whole map.
+
+    Parameters
+    ----------
+    kept : Kept
+    answer : Localization
+        Of a scan whose `T_base_laser` is known.
+    map_identity : str
+        Of the map of the answer.
+
+    Returns
+    -------
+    (str, Pose2D or None)
+        ``restored``, ``moved`` or ``refused``, and where the robot's base is, map frame.
+    """
+    if answer.verdict != "unique":
+        return REFUSED, None
+    pose = base_of(answer.hypotheses[0].pose, answer.T_base_laser or Pose2D(0.0, 0.0))
+    if kept.identity == map_identity and one_place(kept.pose, pose):
+        return RESTORED, pose
+    return (MOVED, pose) if alone(answer) else (REFUSED, None)
