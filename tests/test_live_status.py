@@ -159,8 +159,8 @@ def test_the_command_has_the_defaults_of_the_node_and_so_has_the_file_of_paramet
     assert {k: v for k, v in said.items() if v is not None} == {
         k: settings[k] for k, v in said.items() if v is not None
     }
-    file = ROOT / "tools" / "docs" / "nav2" / "imgloc.params.yaml"
-    written = yaml.safe_load(file.read_text())["imgloc"]["ros__parameters"]
+    file = ROOT / "tools" / "ros" / "imgloc_ros" / "config" / "imgloc.params.yaml"
+    written = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     assert {k: tuple(v) if isinstance(v, list) else v for k, v in written.items()} == {
         k: settings[k] for k in written
     }

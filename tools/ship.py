@@ -1,12 +1,13 @@
-"""Is what people install whole? The wheel, the container and the unit of systemd.
+"""Is what people install whole? The wheel, the ament package, the container, systemd's unit.
 
     python -m tools.ship                # needs pip install -e '.[ship]'
     python -m tools.ship --keep dist    # also keeps the wheel and the sdist in a new folder
 
 Builds an sdist of the checkout and a wheel from the sdist, compares the files in the wheel with
-those under version control, installs the wheel in an empty environment and runs it there. Lints
-and builds the container, verifies the unit. Leaves out checks whose program is not on this
-machine, and prints which. Exits with 1 if something is missing or wrong.
+those under version control, installs the wheel in an empty environment and runs it there. Builds
+the package of ROS 2 by colcon and runs it. Lints and builds the container, verifies the unit.
+Leaves out checks whose program is not on this machine, and prints which. Exits with 1 if something
+is missing or wrong.
 """
 
 import re
@@ -23,6 +24,7 @@ from tools.script import parser_of
 ROOT = Path(__file__).resolve().parents[1]
 DOCKERFILE = ROOT / "tools" / "deploy" / "Dockerfile"
 UNIT = ROOT / "tools" / "deploy" / "imgloc.service"
+AMENT = ROOT / "tools" / "ros" / "imgloc_ros"
 EXPOSED = 20
 """Tenths of the exposure, 0 to 100, that ``systemd-analyze security`` may find; 13 are left."""
 _OFFLINE = 250  # systemd that looks at a unit which is only a file
@@ -110,6 +112,25 @@ def build_container() -> str:
     return "not built, because neither docker nor podman runs here"
 
 
+def build_ament() -> str:
+    """Build the ament package with colcon and run its executable; return what to print."""
+    program = Path(sys.executable).parent / "colcon"
+    if not program.exists():
+        return "not built, because colcon is not installed"
+    with TemporaryDirectory() as folder:
+        package = Path(folder, "src", AMENT.name)
+        shutil.copytree(AMENT, package, ignore=shutil.ignore_patterns("build", "*.egg-info"))
+        run(program, "build", cwd=Path(folder))
+        there = Path(folder, "install", AMENT.name)
+        for path in ("package.xml", "launch/first_pose.launch.py", "config/imgloc.params.yaml",
+                     "rviz/imgloc.rviz", "foxglove/imgloc.json"):  # fmt: skip
+            if not (there / "share" / AMENT.name / path).is_file():
+                raise Wrong(f"{AMENT.name}: {path} is not installed")
+        node = there / "lib" / AMENT.name / "imgloc"
+        run("bash", "-c", f". {folder}/install/local_setup.bash && {node} node --help")
+    return "built by colcon, its executable runs"
+
+
 def verify_unit() -> str:
     """Let systemd check the unit; return what to print about it."""
     program = shutil.which("systemd-analyze")
@@ -144,6 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"{wheel.name}: the demo and all bundled maps work in an empty environment")
             if given.keep is not None:
                 shutil.copytree(built, given.keep)
+        print(f"{AMENT.name}: {build_ament()}")
         print(f"{DOCKERFILE.name}: {lint_dockerfile()}")
         print(f"container: {build_container()}")
         print(f"{UNIT.name}: {verify_unit()}")

@@ -61,6 +61,18 @@ def node(
         "Publish the pose of a robot that has not moved, by one scan that is very sure: a second "
         "look from the same place would tell nothing new.",
     ),
+    watch: str = option(
+        "",
+        "A second opinion: say on ~/status and /diagnostics whether scans agree with the poses on "
+        "this topic, /amcl_pose, or of tf. The node then publishes no pose.",
+        metavar="TOPIC|tf",
+    ),
+    remember: Path | None = option(
+        None,
+        "File that keeps the last sure pose. When the node starts, one scan is looked for on the "
+        "whole map: the pose is restored, refused, or replaced because the robot was moved.",
+        metavar="FILE",
+    ),
     lifecycle: bool = option(
         False, "Wait for a lifecycle manager: configure prepares maps, activate finds the robot."
     ),
@@ -93,6 +105,8 @@ def node(
         track=track,
         tf=tf,
         standing=standing,
+        watch=watch,
+        remember="" if remember is None else str(remember),
         every=every,
         tries=tries,
         max_age=max_age,

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.belief import Filter
     from imgloc.filters.follow import Kidnap, Moment, Tracking
+    from imgloc.filters.watch import Opinion
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, OccupancyGrid, Pose2D
     from imgloc.output.mcap import Recording
@@ -131,6 +132,12 @@ class Asked(Checked):
         metavar="T,X,Y,YAW",
         parse=lambda text: _kidnap(*numbers(4, angles=(3,))(text)),
     )
+    watch: Path | None = option(
+        None,
+        "Poses of another localizer, map frame, a TUM file: each line says whether the scans "
+        "agree with its last pose, disagree, or cannot tell.",
+        metavar="TUM",
+    )
     follow: bool = option(
         False, "Go on with a file of lines that grows, .jsonl or .log, until Ctrl-C."
     )
@@ -222,7 +229,8 @@ def track(
         if recording is not None:
             undo.callback(recording.close)
             shown.append(lambda moment: recording.add(seen(moment.index), moment))
-        told = _Told(grid.origin, as_json, outputs.best)
+        watched = asked.watch and _watched(asked.watch, features, options, scans, logs)
+        told = _Told(grid.origin, as_json, outputs.best, watched or None)
         moments, words = _printed(run, len(scans), live, shown, told)
         desk.keep(features)
         truth = _truth_of(given, outputs.truth, moments, scans, live)
@@ -334,8 +342,9 @@ def _scans_of(
                 "--straighten: needs the odometry of a whole log, and these scans come while "
                 "imgloc runs; leave it out, or record them and pass the file"
             )
-        if asked.kidnap is not None or asked.simulate_odometry is not None:
-            wrong = "--kidnap" if asked.kidnap is not None else "--simulate-odometry"
+        whole = {"--kidnap": asked.kidnap, "--simulate-odometry": asked.simulate_odometry,
+                 "--watch": asked.watch}  # fmt: skip
+        if wrong := next((name for name, value in whole.items() if value is not None), None):
             raise ConfigError(f"{wrong}: needs a log that is whole, not one that is being written")
         return ScanSet(()), live, given
     scans = desk.scans(log, how).scans
@@ -357,6 +366,7 @@ class _Told:
     origin: Pose2D  #: of the grid
     as_json: bool
     best: bool  #: guesses, too
+    watched: "Callable[[Moment], Opinion] | None" = None  #: what is thought of other poses
 
     def line(self, moment: "Moment") -> str:
         """The line of a moment."""
@@ -364,9 +374,40 @@ class _Told:
         from imgloc.output.rows import moment_row
         from imgloc.output.tracks import track_line
 
+        opinion = None if self.watched is None else self.watched(moment)
         if self.as_json:
-            return to_json(moment_row(moment, self.origin, best=self.best))
-        return track_line(moment, best=self.best)
+            row = moment_row(moment, self.origin, best=self.best)
+            return to_json(row if opinion is None else row | {"watch": opinion.row(moment.stamp)})
+        line = track_line(moment, best=self.best)
+        return line if opinion is None else f"{line}  {opinion.text}"
+
+
+def _watched(
+    path: Path, features: "MapFeatures", options: Options, scans: "ScanSet", logs: Logs
+) -> "Callable[[Moment], Opinion]":
+    """What is thought, after each scan, of the last pose of a trajectory."""
+    import numpy as np
+
+    from imgloc.filters.watch import Watch
+    from imgloc.io.tum import load_tum
+    from imgloc.model import Pose2D
+
+    stamps, poses = load_tum(path, logs.max_bad)
+    if scans.stamps is None or not stamps[0] <= np.nanmax(scans.stamps):
+        raise ScanError(f"{display(path)}: no pose has a stamp before that of the last scan")
+    watch, taken = Watch(features, options), np.asarray(scans.stamps)
+
+    def odom(k: int) -> "Pose2D | None":
+        return None if scans.odom is None else Pose2D(*scans.odom[k])
+
+    def opinion(moment: "Moment") -> "Opinion":
+        k = int(np.searchsorted(stamps, moment.stamp + 1e-3)) - 1
+        if k >= 0:
+            at = int(np.abs(taken - stamps[k]).argmin())
+            watch.hear(float(stamps[k]), Pose2D(*poses[k]), odom(at))
+        return watch.step(scans[moment.index], odom(moment.index), moment)
+
+    return opinion
 
 
 def _printed(

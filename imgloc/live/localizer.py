@@ -402,6 +402,10 @@ class Localizer:
 
         return self._line.put(key, work)
 
+    def soon(self, work: Callable[[], T], source: Hashable = None) -> "Future[T]":
+        """Do something in the thread that computes; one work of each source waits."""
+        return self._line.put(Key("soon", source), lambda _: work())
+
     def update(
         self,
         scan: LaserScan,

@@ -25,6 +25,7 @@ import numpy as np
 from imgloc.errors import ConfigError, ImglocError, ScanError, printable
 from imgloc.filters.belief import LOST, deviations_of, one_place
 from imgloc.filters.follow import BLIND, Moment
+from imgloc.filters.watch import AGREES, DISAGREES, Opinion, Watch
 from imgloc.io.messages import (
     frame_name,
     grid_from_msg,
@@ -39,11 +40,23 @@ from imgloc.live.line import Dropped
 from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Rules, Sighting, alone
+from imgloc.live.remember import REFUSED, Kept, checked, identity, load_kept
 from imgloc.live.sites import Maker, Site
-from imgloc.live.status import ERROR, Found, found_along, found_blind, found_of, health, status_row
+from imgloc.live.status import (
+    ERROR,
+    OK,
+    WARN,
+    Found,
+    found_along,
+    found_blind,
+    found_of,
+    health,
+    status_row,
+)
 from imgloc.model import (
     LaserScan,
     Localization,
+    OccupancyGrid,
     Pose2D,
     check_mount,
     compose,
@@ -75,6 +88,8 @@ _NO_ODOMETRY = 2.0  # seconds from the first scan until the scans alone tell the
 _WAITING = 100  # scans that wait so, of all lasers
 _ANSWERED = 15.0  # seconds that ~/localize waits for a pose at most
 _MOVES = 4000  # poses of the odometry, and of a link of tf, remembered: 20 s of 200 a second
+_CLAIMS = 200  # poses of the localizer that is watched, remembered
+_SAVED = 1.0  # seconds between two writes of the pose that is remembered
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
 _TURN = 0.005  # seconds
@@ -109,6 +124,10 @@ class Settings:
     tf: bool = False  #: and publish map -> odom on /tf
     #: tell a robot that stands a pose by one scan, if that is very sure
     standing: bool = False
+    #: file that keeps the last sure pose; when the node starts, one scan checks it
+    remember: str = ""
+    #: topic of another localizer's poses, or "tf": say what is thought of them, and publish none
+    watch: str = ""
 
     def __post_init__(self) -> None:
         for name, low in (("range_max", _NEAR), ("scan_timeout", _NEAR)):
@@ -126,6 +145,11 @@ class Settings:
         for name in ("map_frame", "base_frame"):
             if not frame_name(getattr(self, name)):
                 raise ConfigError(f"parameter {name}: is empty, expected the name of a frame")
+        own = [name for name in ("track", "standing", "remember") if getattr(self, name)]
+        if self.watch and own:
+            raise ConfigError(
+                f"parameter watch: publishes no pose, so {own[0]} does not go with it"
+            )
         if self.tf and not self.track:
             raise ConfigError("parameter tf: expected track, too: map -> odom is of the tracker")
         if not all(map(math.isfinite, self.sensor)):
@@ -291,8 +315,9 @@ class LocalizerNode:
                 "sensor: missing, expected X,Y,YAW, the pose of the laser on the robot (0,0,0 if "
                 "they are equal); tf cannot give it, because tf2_msgs is not installed"
             )
-        if settings.tf and ros.tf2_msgs is None:
-            raise ConfigError("parameter tf: tf2_msgs is not installed; ~/map_odom has map -> odom")
+        for name, instead in (("tf", "~/map_odom has map -> odom"), ("watch", "name a topic")):
+            if getattr(settings, name) in (True, "tf") and ros.tf2_msgs is None:
+                raise ConfigError(f"parameter {name}: tf2_msgs is not installed; {instead}")
         self.ros, self.node, self.settings, self.core = ros, node, settings, core
         self.made = Messages(ros)
         self.from_topic = from_topic
@@ -313,6 +338,14 @@ class LocalizerNode:
         self._moved = False  # whether there is odometry
         self._stood: Pose2D | None = None  # where a robot that stands was looked at, by odometry
         self._sure_at: tuple[float, Pose2D] | None = None  # stamp and map_odom of that pose
+        self._claims = deque[tuple[float, Pose2D]](maxlen=_CLAIMS)  # of who is watched
+        self._watch: Watch | None = None
+        self._judging: Future[Opinion] | None = None
+        self.opinion = Opinion()
+        self._kept = load_kept(settings.remember) if settings.remember else None
+        self._checks = self._kept is not None  # whether that pose is to be checked by a scan
+        self._remembered = ""  # what came of it
+        self._hashed: tuple[OccupancyGrid, str] | None = None  # a map, and its identity
         self._map: tuple[Any, ...] | None = None
         self._map_error = ""
         self._era = 0  # of the answers that count
@@ -351,7 +384,12 @@ class LocalizerNode:
             self._hear(ros.tf2_msgs.TFMessage, "/tf", self._on_transforms, 100)
         say = node.create_publisher
         geometry = ros.geometry_msgs
-        self._initial = say(geometry.PoseWithCovarianceStamped, "initialpose", passing)
+        stamped = geometry.PoseWithCovarianceStamped
+        if self.settings.watch not in ("", "tf"):
+            reliably = qos.QoSProfile(depth=10, reliability=reliable)
+            self._hear(stamped, self.settings.watch, self._on_claim, reliably)
+        if not self.settings.watch:
+            self._initial = say(stamped, "initialpose", passing)
         self._hypotheses = say(geometry.PoseArray, "~/hypotheses", latched)
         self._markers = say(ros.visualization_msgs.MarkerArray, "~/markers", latched)
         self._status = say(ros.std_msgs.String, "~/status", latched)
@@ -493,10 +531,11 @@ class LocalizerNode:
     def _look_at(self, one: _Waiting, scan: LaserScan, odom: Pose2D | None) -> None:
         """Follow the robot by a scan, or ask on which floor it is."""
         floors = self._robot.map is None and len(self.core.names) > 1
-        alone = self.settings.standing and self.first.wanted and self._stays(odom)
+        alone = (self.settings.standing or self._checks) and self.first.wanted and self._stays(odom)
         if (floors or alone) and self.first.due(scan.stamp, odom):
             self._ask(one, scan, odom)
-        if floors or not (self.first.wanted or self.settings.track):
+        follows = self.settings.track or self.settings.remember or self.settings.watch
+        if floors or not (self.first.wanted or follows):
             return
         if scan.directions < self.core.options.trust.readings and any(
             asked.scan.laser == scan.laser and not asked.future.done() for asked in self._tracked
@@ -623,6 +662,8 @@ class LocalizerNode:
             answer = self._result(tracked)
             if answer is not None:
                 self._take_moment(tracked, answer)
+        if self._judging is not None and self._judging.done():
+            self._judged()
 
     def _result(self, asked: _Asked) -> Answer[Any] | None:
         """The answer, if there is one that counts."""
@@ -643,6 +684,8 @@ class LocalizerNode:
             return
         value, name = answer.value, answer.map
         self._took = self.now - asked.scan.stamp
+        if self._checks and self._check(value, name, asked):
+            return
         if isinstance(value, Localization):
             if self.first.wanted and alone(value) and self.first.fresh(asked.scan.stamp, self.now):
                 found = found_of(value, asked.scan.stamp, name)
@@ -661,14 +704,91 @@ class LocalizerNode:
             self._robot.reset(name)  # the filter finds its own way there
         self._report()
 
+    def _check(self, value: Localization | Chosen, name: str | None, asked: _Asked) -> bool:
+        """Hold the remembered pose against a scan; whether a pose was published."""
+        best = value.best if isinstance(value, Chosen) else value
+        verdict = value.choice.verdict if isinstance(value, Chosen) else value.verdict
+        self._stood = None if verdict == "invalid" else self._stood
+        if verdict == "invalid" or not self.first.fresh(asked.scan.stamp, self.now):
+            return False  # the next scan may see more, or come in time
+        assert self._kept is not None
+        self._checks, self._remembered, pose = False, REFUSED, None
+        if best is not None:
+            self._remembered, pose = checked(self._kept, best, self._identity(name))
+        words = f"{self.settings.remember}: {self._remembered}"
+        self.node.get_logger().info(f"{words}, {self.now - asked.scan.stamp:.2f} s after the scan")
+        if pose is None or best is None or not self.first.wanted:
+            return False
+        found = found_of(best, asked.scan.stamp, name)
+        self._robot.map = name if len(self.core.names) > 1 else self._robot.map
+        self._show(found, asked, sure=True)
+        self._publish(found, asked)
+        self._report()
+        return True
+
+    def _identity(self, name: str | None) -> str:
+        grid = self.core.site(name, timeout=0).features.grid
+        if self._hashed is None or self._hashed[0] is not grid:
+            self._hashed = grid, identity(grid)
+        return self._hashed[1]
+
+    def _remember(self, pose: Pose2D, stamp: float, name: str | None) -> None:
+        """Keep a sure pose in the file, if the robot has moved since."""
+        last = self._kept
+        if not self.settings.remember or self._checks:
+            return
+        new = last is None or (abs(stamp - last.stamp) >= _SAVED and not _still(last.pose, pose))
+        if new or last is None or last.identity != self._identity(name):
+            self._kept = Kept(str(name), self._identity(name), pose, stamp)
+            self._kept.save(self.settings.remember)
+
+    def _on_claim(self, message: Any) -> None:
+        if frame_name(message.header.frame_id) not in ("", self._map_frame):
+            raise ConfigError(f"frame_id: expected {self._map_frame}")
+        self._claims.append((seconds_of(message.header.stamp), pose_of(message.pose.pose)))
+
+    def _judge(self, asked: _Asked, moment: Moment, site: Site) -> None:
+        """Hold the last pose of the localizer that is watched against a scan."""
+        if self._watch is None or self._watch.features is not site.features:
+            self._watch = Watch(site.features, site.options(self.core.options))
+        watch, stamp = self._watch, moment.stamp
+        if self.settings.watch == "tf":
+            link = self._frames.at(self.settings.base_frame, self._map_frame, stamp)
+            if link is not None:
+                self._claims.append((stamp, Pose2D(*planar(link))))
+        before = [claim for claim in self._claims if claim[0] <= stamp] or list(self._claims)[:1]
+        at = self._odometry(before[-1][0]) if before else None
+
+        def work() -> Opinion:
+            if before:
+                watch.hear(*before[-1], at)
+            return watch.step(asked.scan, asked.odom, moment)
+
+        with contextlib.suppress(Dropped):
+            self._judging = self.core.soon(work, "watch")
+            self._judging.add_done_callback(self._done)
+
+    def _judged(self) -> None:
+        """Take what is thought of the localizer that is watched."""
+        future, self._judging = self._judging, None
+        assert future is not None
+        with contextlib.suppress(Dropped):
+            before, self.opinion = self.opinion, future.result()
+            if before.said != self.opinion.said:
+                self._report()
+
     def _publish(self, found: Found, asked: _Asked) -> None:
         """Publish a first pose that is confirmed."""
+        if self.settings.watch:
+            self.first.published()
+            return
         pose, covariance = found.poses[0], found.covariance
         assert covariance is not None
         header = self.made.header(asked.stamp, self._map_frame)
         least = self.settings.least_deviation
         self._initial.publish(self.made.pose(pose, covariance, header, least))
         self.first.published()
+        self._remember(pose, found.stamp, found.map)
         self.node.get_logger().info(f"{self._initial.topic_name}: {words_of(found)}")
 
     def _take_moment(self, asked: _Asked, answer: Answer[Moment]) -> None:
@@ -676,11 +796,15 @@ class LocalizerNode:
         moment = answer.value
         site = self.core.site(answer.map, timeout=0)
         found = found_along(moment, site.features.grid.origin, answer.map, asked.scan)
+        if self.settings.watch:
+            self._judge(asked, moment, site)
         sure = moment.pose is not None and self.first.fresh(moment.stamp, self.now)
         self._took = self.now - moment.stamp
         self._followed = self._followed or sure
         if sure and moment.map_odom is not None:
             self._sure_at = moment.stamp, moment.map_odom
+        if sure:
+            self._remember(found.poses[0], moment.stamp, answer.map)
         shown, before = self.settings.track or self.first.wanted, self.first.state
         new = moment.looked or moment.withheld == BLIND
         if self.first.believed(Sighting(moment.stamp, found.pose, new), self.now):
@@ -739,6 +863,10 @@ class LocalizerNode:
             self.found, self.first, now=self.now, stands=stands, dropped=dropped, said=said,
             late=bool(self._waits()),
         )  # fmt: skip
+        if self.settings.watch:
+            row["watch"] = {"of": self.settings.watch, **self.opinion.row(self.now)}
+        if self.settings.remember:
+            row["remembered"] = self._remembered
         self._status.publish(self.made.text(to_json(row)))
         name, time_ = self.node.get_fully_qualified_name(), self.node.get_clock().now().to_msg()
         self._diagnostics.publish(self.made.diagnostics(level, row, name, time_))
@@ -763,6 +891,11 @@ class LocalizerNode:
             errors=errors, waits=self._waits(), track=self._followed and self.settings.track,
             stands=self._stands(),
         )  # fmt: skip
+        if self.settings.watch and not (silent or errors or self._waits()):
+            level = {AGREES: OK, DISAGREES: ERROR}.get(self.opinion.said, WARN)
+            given = self.opinion.pose if level == ERROR else None
+            own = f"; imgloc would give {given}" if given is not None else ""
+            said = f"{self.settings.watch} {self.opinion.text}{own}"
         return level, said.replace("~/", f"{self.node.get_fully_qualified_name()}/")
 
     def _silent(self, laser: Topic) -> bool:
@@ -982,7 +1115,7 @@ def run_node(
         undo.callback(ros.rclpy.try_shutdown)
         undo.callback(node.destroy_node)
         settings = with_parameters(ros, node, settings)
-        _ = settings.mounts  # what is wrong is said before maps are prepared
+        _ = settings.mounts, settings.rules  # what is wrong is said before maps are prepared
 
         def prepare() -> Localizer:
             return Localizer(

@@ -16,12 +16,13 @@ True
 
 import json
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from imgloc.errors import ConfigError
 from imgloc.filters.belief import one_place
 from imgloc.io.calibration import map_hash
-from imgloc.io.files import PathLike, display, is_there, read_file, write_text_atomic
+from imgloc.io.files import PathLike, display, is_folder, is_there, read_file, write_text_atomic
 from imgloc.io.own import parse_json
 from imgloc.live.policy import alone
 from imgloc.model import Localization, OccupancyGrid, Pose2D, base_of
@@ -67,10 +68,12 @@ class Kept:
 
 
 def load_kept(path: PathLike) -> Kept | None:
-    """What a file remembers; None if there is no file yet."""
-    if not is_there(path):
-        return None
+    """What a file remembers; None if there is no file yet, in a folder that there is."""
     name = display(path)
+    if not is_there(path):
+        if not is_folder(Path(path).parent):
+            raise ConfigError(f"{name}: its folder is not there, expected one to write it to")
+        return None
     return Kept.read(read_file(path, limit=_MOST, error=ConfigError, what="file"), name)
 
 

@@ -291,6 +291,52 @@ def test_a_lifecycle_manager_prepares_starts_stops_and_starts_again(field, log) 
     assert node.wait(LONG) == 0
 
 
+def test_a_pose_is_remembered_and_a_scan_decides_whether_it_still_holds(field, log) -> None:
+    file, truth = field.folder / "robot.json", truth_of(log)
+    field.listen()
+    node = field.node(MAP, "--sensor", SENSOR, "--remember", file)
+    player = field.play(MAP, log, "--no-map")
+    field.until(lambda: file.exists() and len(field.played()) > 120)
+    for process in (player, node):
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(LONG) in (0, -signal.SIGTERM)
+    kept = json.loads(file.read_text())
+    pose = kept["pose"]
+    here = np.hypot(truth[:, 0] - pose["x"], truth[:, 1] - pose["y"])
+    assert here.min() < 0.1  # where it was
+    for said, off, identity in (("restored", 0, kept["identity"]), ("moved", 3, kept["identity"]),
+                                ("moved", 0, "another map")):  # fmt: skip
+        moved = {**kept, "identity": identity, "pose": {**pose, "x": pose["x"] + off}}
+        file.write_text(json.dumps(moved))
+        before = len(field.heard("initialpose"))
+        node = field.node(MAP, "--sensor", SENSOR, "--remember", file)
+        first = field.folder / f"{len(field.running)}.jsonl"
+        player = field.start("tools.robot", "play", MAP, log, "--no-map", "--hold", 8, "--first",
+                             here[:1000].argmin(), "--write", first)  # fmt: skip
+        field.until(lambda before=before: len(field.heard("initialpose")) > before)
+        field.until(lambda said=said: field.heard("status")[-1].get("remembered") == said)
+        told = judged(Told(PATIENCE), field.heard("initialpose")[before:], lines_of(first), truth)
+        assert told.right, told
+        for process in (player, node):
+            process.kill()
+            process.wait()
+
+
+def test_another_localizer_is_watched_and_no_pose_is_published(field, log) -> None:
+    field.listen()
+    field.node(MAP, "--sensor", SENSOR, "--watch", "/amcl_pose")
+    field.play(MAP, log, "--no-map", "--amcl", 40)
+    for said, level in (("agrees", 0), ("disagrees", 2)):
+        field.until(lambda said=said: field.heard("status")[-1:] and (
+            field.heard("status")[-1]["watch"]["said"] == said))  # fmt: skip
+        field.until(lambda level=level: field.level() == level)
+    status = field.heard("status")[-1]["watch"]
+    assert status["seconds"] < 60
+    assert status["pose"]["x"] == pytest.approx(START.x + 0.5, abs=1.0)
+    assert "; imgloc would give " in field.heard("diagnostics")[-1]["message"]
+    assert not field.heard("initialpose")
+
+
 def test_messages_name_topics_and_services_as_they_are_mapped(field) -> None:
     node = field.node("--sensor", "0,0,0", "--ros-args", "-r", "__ns:=/r1", "-r", "scan:=/front")
     field.until(lambda: "no scans on /front" in field.said())
@@ -377,6 +423,10 @@ def test_a_listener_who_hears_nothing_ends_at_ctrl_c(field) -> None:
         ),
         ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every"), 2, "the arguments of ROS: "),
         (("visibility",), 2, "sensor: missing"),
+        ((MAP, "--sensor", "0,0,0", "--watch", "/amcl_pose", "--track"), 2, "publishes no pose"),
+        ((MAP, "--sensor", "0,0,0", "--watch", "tf"), 2, "watch: tf2_msgs is not installed"),
+        ((MAP, "--sensor", "0,0,0", "--remember", ROOT / "README.md"), 2, "README.md: not JSON"),
+        ((MAP, "--sensor", "0,0,0", "--remember", "no/where.json"), 2, "its folder is not there"),
         ((MAP, "--sensor", "0,0,0", "--tf"), 2, "parameter tf: expected track, too"),
         (("nowhere.yaml", "--sensor", "0,0,0"), 3, "nowhere.yaml: no such file"),
     ],

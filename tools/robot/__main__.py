@@ -6,6 +6,7 @@
     python -m tools.robot ask localize           # calls a service of the node
     python -m tools.robot walk configure         # a transition of a node with --lifecycle
     python -m tools.robot restart -n 3000        # a remembered pose, checked by one scan
+    python -m tools.robot watch -n 600           # twelve faults of another localizer, and none
     python -m tools.robot kill LOG MAP X,Y,YAW   # kills node or player at random moments
 
 Other machines hear nothing of it, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set: a played /map and
@@ -24,6 +25,7 @@ import math
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,10 +33,11 @@ from typing import Any
 from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans
 from imgloc.io.maps import bundled_maps
 from imgloc.live.node import load_ros
+from tools.robot import restart as restarts
 from tools.robot.kill import kill_loop
 from tools.robot.listen import Listener
 from tools.robot.play import DISTURBED, FROZEN, WORLD, Player, Playing, to_and_fro, write_to
-from tools.robot.restart import Start, rows_of, starts
+from tools.robot.watch import Noticed, faults, healthy, rows_of
 from tools.script import at_least_one, ended, parser_of, table_lines
 
 REINITIALIZE = "reinitialize_global_localization"
@@ -48,8 +51,10 @@ def main() -> int:
     parser = parser_of("tools.robot", __doc__)
     commands = parser.add_subparsers(required=True)
     named = {"play": _play, "listen": _listen, "ask": _ask, "walk": _walk,
-             "restart": _restart, "kill": _kill}  # fmt: skip
-    play, listen, ask, walk, restart, kill = (_command(commands, *one) for one in named.items())
+             "restart": _restart, "watch": _watch, "kill": _kill}  # fmt: skip
+    play, listen, ask, walk, restart, watch, kill = (
+        _command(commands, *one) for one in named.items()
+    )
     play.add_argument("map", nargs="?", type=Path)
     play.add_argument("log", nargs="?", type=Path)
     play.add_argument("--free-thresh", type=float, help="of the map")
@@ -60,6 +65,7 @@ def main() -> int:
     play.add_argument("--best-effort", action="store_true")
     play.add_argument("--disturb", choices=DISTURBED, default="", help="every other scan")
     play.add_argument("--freeze", choices=FROZEN, default="", help="of the first scan, repeated")
+    play.add_argument("--amcl", type=float, default=0.0, help="seconds of right poses, then wrong")
     play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
     play.add_argument("--first", type=int, default=0, help="scan to begin with")
     play.add_argument("--count", type=int, default=0, help="scans to play; 0: all")
@@ -74,6 +80,10 @@ def main() -> int:
     restart.add_argument("-n", type=int, default=3000, help="starts (default: %(default)s)")
     restart.add_argument("--seed", type=int, default=0)
     restart.add_argument("--seconds", type=float, default=math.inf, help="to stop after")
+    watch.add_argument("-n", type=int, default=600, help="drives (default: %(default)s)")
+    watch.add_argument("--hours", type=float, default=0.0, help="of drives without a fault")
+    watch.add_argument("--seed", type=int, default=0)
+    watch.add_argument("--seconds", type=float, default=math.inf, help="to stop after")
     kill.add_argument("log", type=Path)
     kill.add_argument("map", type=Path)
     kill.add_argument("start")
@@ -118,6 +128,7 @@ def _play(given: argparse.Namespace) -> int:
         "first",
         "count",
         "times",
+        "amcl",
         "stay",
     )
     ros, node = _node("player")
@@ -191,14 +202,34 @@ def _call(ros: Any, node: Any, kind: Any, name: str, request: Any) -> tuple[Any,
 
 def _restart(given: argparse.Namespace) -> int:
     at_least_one(n=given.n)
-    every, until = list[Start](), time.monotonic() + given.seconds
-    for one in starts(given.n, given.seed):
+    every, until = list[restarts.Start](), time.monotonic() + given.seconds
+    for one in restarts.starts(given.n, given.seed):
         every.append(one)
         if time.monotonic() > until:
             break
     head = "case | starts | restored | moved | refused | wrong | median ms | most ms"
-    print(*table_lines(head, rows_of(every)), sep="\n")
+    print(*table_lines(head, restarts.rows_of(every)), sep="\n")
     return int(any(one.wrong for one in every))
+
+
+def _watch(given: argparse.Namespace) -> int:
+    until, every, hours = time.monotonic() + given.seconds, list[Noticed](), 0.0
+    said = Counter[str]()
+    for one in faults(given.n, given.seed):
+        every.append(one)
+        if time.monotonic() > until:
+            break
+    for some, counts in healthy(100.0, given.seed):
+        if hours >= given.hours or time.monotonic() > until:
+            break
+        hours, said = hours + some, said + Counter(counts)
+    head = (
+        "fault | drives | agreed before | within 5 s or 2 m | median s | most s | "
+        "own pose right | false before"
+    )
+    print(*table_lines(head, rows_of(every)), sep="\n")
+    print(f"{hours:.2f} h without a fault: {json.dumps(said)}")
+    return 0
 
 
 def _kill(given: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -14,7 +14,7 @@ from imgloc import LaserScan, OccupancyGrid, ScanSet
 from imgloc.errors import ConfigError
 from imgloc.io.messages import pose_fields
 from imgloc.live.messages import fill
-from imgloc.model import FloatArray, Pose2D, compose
+from imgloc.model import FloatArray, Pose2D, base_of, compose
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -37,6 +37,7 @@ class Playing:
     first: int = 0  #: scan to begin with
     count: int = 0  #: scans to play; 0: all
     times: int = 1  #: how often, one after the other
+    amcl: float = 0.0  #: seconds of true poses on /amcl_pose, then 3 m off; 0: no such topic
     stay: float = 0.0  #: seconds to stay after the last scan, saying nothing
 
 
@@ -85,6 +86,10 @@ class Player:
             node.create_publisher(ros.sensor_msgs.LaserScan, topic, sensor)
             for topic in topics_of(how.lasers)
         ]
+        self._amcl = None
+        if how.amcl:
+            kind = ros.geometry_msgs.PoseWithCovarianceStamped
+            self._amcl = node.create_publisher(kind, "amcl_pose", latched)
         self._clock = None
         if how.clock:
             import importlib
@@ -122,8 +127,18 @@ class Player:
                 if maps and late >= after:
                     self.show(maps.pop(0))
                 stamp = float(log.stamps[k]) if how.clock else begin + late
+                if self._amcl is not None and log.poses is not None:
+                    mount = log[k].T_base_laser or Pose2D(0.0, 0.0)
+                    pose, off = base_of(Pose2D(*log.poses[k]), mount), 3.0 * (late > how.amcl)
+                    self._amcl.publish(self._claim(replace(pose, x=pose.x + off), stamp))
                 self._step(k, log[k], None if log.odom is None else log.odom[k], stamp)
         time.sleep(how.stay)
+
+    def _claim(self, pose: Pose2D, stamp: float) -> Any:
+        at = {"sec": math.floor(stamp), "nanosec": round(999_999_999 * (stamp % 1.0))}
+        message = self._ros.geometry_msgs.PoseWithCovarianceStamped()
+        fill(message, {"header": {"stamp": at, "frame_id": "map"}})
+        return fill(message, {"pose": {"pose": pose_fields(pose)}})
 
     def _step(self, k: int, scan: LaserScan, odom: FloatArray | None, stamp: float) -> None:
         whole = math.floor(stamp)

@@ -1,0 +1,139 @@
+"""A second opinion of the poses that another localizer gives: agrees, disagrees, cannot tell.
+
+It holds each pose against a filter of its own that never hears of it, and while that filter is not
+sure against one scan on the whole map. It changes nothing.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imgloc.answers.fit import fit_at
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import UNIQUE
+from imgloc.filters.follow import BLIND, Moment
+from imgloc.geometry import wrap
+from imgloc.model import LaserScan, Pose2D, base_of, compose, inverse, plain
+from imgloc.numbers import number
+from imgloc.options import Options
+from imgloc.pipeline import localize
+
+AGREES, DISAGREES, CANNOT = OPINIONS = ("agrees", "disagrees", "cannot tell")
+_NEAR: tuple[float, float] = number("watch.near")
+_SILENT: float = number("watch.silent")
+_EACH: float = number("watch.each")
+_LOOKS: int = number("watch.looks")
+_EXPLAINED: float = number("watch.explained")
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """What is thought of the other localizer's pose."""
+
+    said: str = CANNOT  #: ``agrees``, ``disagrees`` or ``cannot tell``
+    why: str = "no pose has come yet"
+    pose: Pose2D | None = None  #: that it would give, of the base, map frame; None if not sure
+    since: float = float("nan")  #: stamp from which it is said, seconds
+
+    def row(self, now: float) -> dict[str, Any]:
+        """Plain values for JSON; `now`, seconds, tells for how long it is said."""
+        names = ("said", "why", "pose", "since")
+        return dict(plain({n: getattr(self, n) for n in names} | {"seconds": now - self.since}))
+
+    @property
+    def text(self) -> str:
+        """It in a sentence."""
+        return f"{self.said}: {self.why}"
+
+
+class Watch:
+    """Compares poses with scans along a way.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    options : Options
+
+    Examples
+    --------
+    >>> import imgloc
+    >>> from imgloc.io.maps import bundled_maps
+    >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
+    >>> scans, robot = imgloc.simulate(features.grid, 1, seed=1), imgloc.Tracking()
+    >>> moment = robot.follower(features, imgloc.Options()).step(scans[0], None)
+    >>> watch, true = Watch(features, imgloc.Options()), Pose2D(*scans.poses[0])
+    >>> watch.hear(0.0, true, None)
+    >>> watch.step(scans[0], None, moment).said
+    'agrees'
+    >>> watch.hear(1.0, Pose2D(true.x + 2, true.y), None)
+    >>> [watch.step(scans[0], None, moment, stamp).said for stamp in (1.0, 2.0)]
+    ['cannot tell', 'disagrees']
+    """
+
+    def __init__(self, features: MapFeatures, options: Options) -> None:
+        self.features, self.options = features, options
+        self.opinion = Opinion()
+        self._claim: tuple[float, Pose2D, Pose2D | None] | None = None
+        self._against = 0  # looks in a row that are against it
+        self._looked = -np.inf  # stamp of the last look at one scan alone
+
+    def hear(self, stamp: float, pose: Pose2D, odom: Pose2D | None) -> None:
+        """Take a pose of the base, map frame, with its stamp and the odometry of that time."""
+        self._claim = stamp, pose, odom
+
+    def step(
+        self, scan: LaserScan, odom: Pose2D | None, moment: Moment, stamp: float | None = None
+    ) -> Opinion:
+        """Compare the last pose with a scan, and with what the own filter believes after it."""
+        stamp = moment.stamp if stamp is None else stamp
+        stamp = 0.0 if np.isnan(stamp) else stamp
+        judged = self._judge(scan, odom, moment, stamp)
+        if judged is None:
+            return self.opinion
+        said, why, pose = judged
+        self._against = self._against + 1 if said == DISAGREES else 0
+        if 0 < self._against < _LOOKS:
+            said, why, pose = CANNOT, f"once: {why}", None
+        since = self.opinion.since if said == self.opinion.said else stamp
+        self.opinion = Opinion(said, why, pose, since)
+        return self.opinion
+
+    def _judge(
+        self, scan: LaserScan, odom: Pose2D | None, moment: Moment, stamp: float
+    ) -> tuple[str, str, Pose2D | None] | None:
+        """Opinion, why, and the own pose; None if nothing new can be said."""
+        if self._claim is None:
+            return CANNOT, Opinion().why, None
+        _, claim, then = self._claim
+        if odom is not None and then is not None:
+            way = compose(inverse(then), odom)
+            claim = compose(claim, way)
+            if (metres := float(np.hypot(way.x, way.y))) > _SILENT:
+                return DISAGREES, f"no pose has come for {metres:.1f} m", moment.pose
+        if moment.belief.verdict == UNIQUE and moment.best is not None:
+            return self._beside(claim, moment.best)
+        if moment.withheld == BLIND:
+            return CANNOT, "the scans say nothing", None
+        if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
+            return None
+        self._looked = stamp
+        return self._alone(scan, claim)
+
+    def _alone(self, scan: LaserScan, claim: Pose2D) -> tuple[str, str, Pose2D | None]:
+        """One scan on the whole map against the pose."""
+        answer = localize(self.features, scan, self.options)
+        mount = scan.T_base_laser or Pose2D(0.0, 0.0)
+        if answer.verdict == UNIQUE:
+            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
+        fit = fit_at(self.features, scan, compose(claim, mount), self.options, settle=True)
+        if answer.verdict == "invalid" or not fit.explained < _EXPLAINED:
+            return CANNOT, "several places fit, or the scan says little", None
+        return DISAGREES, f"the scan fits there to {100 * fit.explained:.0f} %", None
+
+    def _beside(self, claim: Pose2D, own: Pose2D) -> tuple[str, str, Pose2D | None]:
+        metres = float(np.hypot(claim.x - own.x, claim.y - own.y))
+        turned = abs(float(wrap(claim.theta - own.theta)))
+        words = f"{metres:.2f} m and {np.rad2deg(turned):.0f} deg apart"
+        near = metres <= _NEAR[0] and turned <= _NEAR[1]
+        return AGREES if near else DISAGREES, words, own

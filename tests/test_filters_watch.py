@@ -1,0 +1,90 @@
+"""A second opinion of another localizer's poses, along a drive."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command import MAPS, spawn
+
+import imgloc
+from imgloc import ScanSet
+from imgloc.filters.watch import AGREES, CANNOT, DISAGREES, Watch
+from imgloc.model import Pose2D
+from tools.robot.play import START, to_and_fro
+
+OFF = Pose2D(START.x + 3.0, START.y, START.theta)
+
+
+@pytest.fixture(scope="module")
+def drive() -> ScanSet:
+    """A metre to and fro in double_wall, a scan each 0.2 m."""
+    return to_and_fro().take(range(0, 400, 5))
+
+
+@pytest.fixture(scope="module")
+def features():
+    return imgloc.prepare(imgloc.load_map(MAPS / "double_wall.yaml"))
+
+
+def said(features, drive, claims) -> list[tuple[str, Pose2D | None]]:
+    watch = Watch(features, imgloc.Options())
+    own = imgloc.Tracking().follower(features, imgloc.Options())
+    out = []
+    for k, scan in enumerate(drive.scans):
+        scan, odom = replace(scan, stamp=float(drive.stamps[k])), Pose2D(*drive.odom[k])
+        if k in claims:
+            watch.hear(scan.stamp, claims[k], odom)
+        found = watch.step(scan, odom, own.step(scan, drive.odom[k]))
+        out.append((found.said, found.pose))
+    return out
+
+
+def test_right_poses_agree_and_a_jump_disagrees_with_the_pose_that_it_would_give(
+    features, drive
+) -> None:
+    true = [Pose2D(*row) for row in drive.poses]
+    jump = {k: replace(p, x=p.x + 2.0 * (k >= 50)) for k, p in enumerate(true)}
+    found = said(features, drive, jump)
+    words = [word for word, _ in found]
+    assert DISAGREES not in words[:50]
+    assert words[40:50] == [AGREES] * 10
+    assert words[51:] == [DISAGREES] * (len(words) - 51)  # the first scan alone cannot tell
+    assert words[50] == CANNOT
+    pose = found[60][1]
+    assert (pose.x, pose.y) == pytest.approx((true[60].x, true[60].y), abs=0.1)
+
+
+def test_a_pose_is_carried_on_by_odometry_until_none_has_come_for_too_long(features, drive) -> None:
+    along = replace(drive, odom=np.column_stack((np.arange(80.0) * 0.2, np.zeros((80, 2)))))
+    claims = {k: Pose2D(*drive.poses[k]) for k in range(0, 40)}
+    right = said(features, drive, {k: Pose2D(*drive.poses[k]) for k in range(0, 80, 3)})
+    assert {word for word, _ in right[40:]} == {AGREES}
+    silent = said(features, along, claims)
+    assert {word for word, _ in silent[52:]} == {DISAGREES}
+
+
+def test_nothing_is_said_before_a_pose_has_come(features, drive) -> None:
+    assert {word for word, _ in said(features, drive.take(range(5)), {})} == {CANNOT}
+
+
+def test_track_says_what_it_thinks_of_a_trajectory(tmp_path, drive) -> None:
+    log, tum = tmp_path / "log.npz", tmp_path / "amcl.tum"
+    some = drive.take(range(60))
+    imgloc.save_scans(log, some)
+    lines = [
+        f"{stamp:.9f} {x + 2.0 * (k >= 50):.6f} {y:.6f} 0 0 0 {np.sin(t / 2):.9f} "
+        f"{np.cos(t / 2):.9f}"
+        for k, (stamp, (x, y, t)) in enumerate(zip(some.stamps, some.poses, strict=True))
+    ]
+    tum.write_text("\n".join(lines) + "\n")
+    found = spawn("track", MAPS / "double_wall.yaml", log, "--watch", tum, "--json")
+    assert found.code == 0, found.err
+    rows = [imgloc.io.own.parse_json(line.encode()) for line in found.out.splitlines()]
+    assert rows[45]["watch"]["said"] == AGREES
+    assert rows[-1]["watch"]["said"] == DISAGREES
+    assert rows[-1]["watch"]["seconds"] > 1.0
+    late = tmp_path / "late.tum"
+    late.write_text("9999 0 0 0 0 0 0 1\n9999.5 0 0 0 0 0 0 1\n")
+    found = spawn("track", MAPS / "double_wall.yaml", log, "--watch", late)
+    assert found.code == 4, found
+    assert "late.tum: no pose has a stamp before that of the last scan" in found.err
