@@ -127,7 +127,8 @@ def build_ament() -> str:
             if not (there / "share" / AMENT.name / path).is_file():
                 raise Wrong(f"{AMENT.name}: {path} is not installed")
         node = there / "lib" / AMENT.name / "imgloc"
-        run("bash", "-c", f". {folder}/install/local_setup.bash && {node} node --help")
+        setup = f"COLCON_CURRENT_PREFIX={folder}/install; . {folder}/install/local_setup.sh"
+        run("sh", "-c", f"{setup} && {node} node --help")
     return "built by colcon, its executable runs"
 
 

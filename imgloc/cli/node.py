@@ -8,6 +8,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Command
+from imgloc.cli.console import emit
 from imgloc.options import Flipped, Options, RangeMax
 from imgloc.ranges import Within, option
 from imgloc.texts import pose
@@ -76,6 +77,11 @@ def node(
     lifecycle: bool = option(
         False, "Wait for a lifecycle manager: configure prepares maps, activate finds the robot."
     ),
+    check: bool = option(
+        False,
+        "Look at the running robot for 10 s, print what is wrong with its topics, clocks, "
+        "transforms, map, scale and mounting, and end: with code 1 if anything is.",
+    ),
     every: Annotated[float, Within(0, 1e9, "seconds")] = option(
         0.3, "Seconds between two scans that are tried."
     ),
@@ -127,4 +133,13 @@ def node(
         makers, prepared = inputs.site_makers(paths, maps, options, folder)
 
     words = ["imgloc", *context.meta[_ROS]]
+    if check:
+        from imgloc.live.check import check_robot
+
+        rows = check_robot(ros, words, settings, makers, options)
+        for row in rows:
+            emit(f"{'wrong' if row.do else 'ok':5}  {row.what}: {row.found}")
+            if row.do:
+                emit(f"       -> {row.do}")
+        raise typer.Exit(int(any(row.do for row in rows)))
     raise typer.Exit(run_node(ros, words, settings, makers, options, prepared, lifecycle=lifecycle))

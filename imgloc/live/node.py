@@ -164,6 +164,11 @@ class Settings:
             raise ConfigError(f"parameter {str(error).removeprefix('Rules.')}") from None
 
     @property
+    def kept(self) -> Kept | None:
+        """The pose that the file to remember holds, if there is one."""
+        return load_kept(self.remember) if self.remember else None
+
+    @property
     def mounts(self) -> list[Pose2D] | None:
         """Where each laser sits; None if tf has to say it."""
         if not self.sensor:
@@ -342,7 +347,7 @@ class LocalizerNode:
         self._watch: Watch | None = None
         self._judging: Future[Opinion] | None = None
         self.opinion = Opinion()
-        self._kept = load_kept(settings.remember) if settings.remember else None
+        self._kept = settings.kept
         self._checks = self._kept is not None  # whether that pose is to be checked by a scan
         self._remembered = ""  # what came of it
         self._hashed: tuple[OccupancyGrid, str] | None = None  # a map, and its identity
@@ -1071,6 +1076,33 @@ def managed(
     return entity
 
 
+@contextlib.contextmanager
+def ros_node(
+    ros: Any, words: Sequence[str], settings: Settings, *, lifecycle: bool = False
+) -> Generator[tuple[Any, Settings, list[int]], None, None]:
+    """A node, the settings with its parameters, and the signals that have come to end it."""
+    if lifecycle and ros.lifecycle is None:
+        raise ConfigError("lifecycle: this rclpy has no rclpy.lifecycle, expected Humble or later")
+    asked = list[int]()
+    signals = {number: signal.signal(number, lambda n, _: asked.append(n)) for number in _ENDING}
+    try:
+        # Its own handlers would end it in the middle of a callback.
+        ros.rclpy.init(args=list(words), signal_handler_options=ros.signals.SignalHandlerOptions.NO)
+        kind = ros.lifecycle.LifecycleNode if lifecycle else ros.node.Node
+        node = kind("imgloc", automatically_declare_parameters_from_overrides=True)
+    except Exception as error:  # rclpy has a class for each kind of wrong word
+        raise ConfigError(f"the arguments of ROS: {error}") from None
+    with contextlib.ExitStack() as undo:
+        for number, before in signals.items():
+            undo.callback(signal.signal, number, before)
+        undo.callback(ros.rclpy.try_shutdown)
+        undo.callback(node.destroy_node)
+        settings = with_parameters(ros, node, settings)
+        # What is wrong is said before maps are prepared.
+        _ = settings.mounts, settings.rules, settings.kept
+        yield node, settings, asked
+
+
 def run_node(
     ros: Any,
     words: Sequence[str],
@@ -1098,24 +1130,10 @@ def run_node(
     lifecycle : bool
         Wait for a lifecycle manager: `configure` prepares the maps, `activate` answers.
     """
-    if lifecycle and ros.lifecycle is None:
-        raise ConfigError("lifecycle: this rclpy has no rclpy.lifecycle, expected Humble or later")
-    asked = list[int]()
-    signals = {number: signal.signal(number, lambda n, _: asked.append(n)) for number in _ENDING}
-    try:
-        # Its own handlers would end it in the middle of a callback.
-        ros.rclpy.init(args=list(words), signal_handler_options=ros.signals.SignalHandlerOptions.NO)
-        kind = ros.lifecycle.LifecycleNode if lifecycle else ros.node.Node
-        node = kind("imgloc", automatically_declare_parameters_from_overrides=True)
-    except Exception as error:  # rclpy has a class for each kind of wrong word
-        raise ConfigError(f"the arguments of ROS: {error}") from None
-    with contextlib.ExitStack() as undo:
-        for number, before in signals.items():
-            undo.callback(signal.signal, number, before)
-        undo.callback(ros.rclpy.try_shutdown)
-        undo.callback(node.destroy_node)
-        settings = with_parameters(ros, node, settings)
-        _ = settings.mounts, settings.rules  # what is wrong is said before maps are prepared
+    with (
+        ros_node(ros, words, settings, lifecycle=lifecycle) as (node, settings, asked),
+        contextlib.ExitStack() as undo,
+    ):
 
         def prepare() -> Localizer:
             return Localizer(

@@ -325,16 +325,50 @@ def test_a_pose_is_remembered_and_a_scan_decides_whether_it_still_holds(field, l
 def test_another_localizer_is_watched_and_no_pose_is_published(field, log) -> None:
     field.listen()
     field.node(MAP, "--sensor", SENSOR, "--watch", "/amcl_pose")
-    field.play(MAP, log, "--no-map", "--amcl", 40)
+    wrong = field.folder / "wrong"
+    field.play(MAP, log, "--no-map", "--amcl", wrong)
     for said, level in (("agrees", 0), ("disagrees", 2)):
         field.until(lambda said=said: field.heard("status")[-1:] and (
             field.heard("status")[-1]["watch"]["said"] == said))  # fmt: skip
         field.until(lambda level=level: field.level() == level)
+        wrong.touch()
     status = field.heard("status")[-1]["watch"]
     assert status["seconds"] < 60
     assert status["pose"]["x"] == pytest.approx(START.x + 0.5, abs=1.0)
     assert "; imgloc would give " in field.heard("diagnostics")[-1]["message"]
     assert not field.heard("initialpose")
+
+
+def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log) -> None:
+    scans, path = imgloc.load_scans(log), field.folder / "mm.npz"
+    wrong = tuple(replace(scan, ranges=1000 * scan.ranges) for scan in scans)
+    imgloc.save_scans(path, imgloc.ScanSet(wrong, scans.poses, scans.stamps, scans.odom))
+
+    def check(*words: object) -> tuple[int, str]:
+        command = [sys.executable, "-m", "imgloc", "node", *map(str, words), "--sensor", SENSOR,
+                   "--check", "--max-age", str(PATIENCE)]  # fmt: skip
+        done = subprocess.run(command, env=field.around, cwd=ROOT, capture_output=True,
+                              timeout=LONG, text=True)  # fmt: skip
+        return done.returncode, done.stdout + done.stderr
+
+    code, said = check(MAP)
+    assert (code, "wrong  /scan: no publisher" in said) == (1, True), said
+    player = field.play(MAP, log)
+    field.until(field.played)
+    code, said = check(MAP)
+    assert "ok     /scan: 1" in said, said
+    assert "ok     scans on double_wall: 3 unique" in said, said
+    assert "wrong  /initialpose: nobody listens" in said, said
+    player.kill()
+    player.wait()
+    field.played_in.unlink()
+    field.play(MAP, path, "--lasers", 1)
+    field.until(field.played)
+    code, said = check()
+    assert "ok     map /map: " in said, said
+    assert "millimetres" in said, said
+    code, said = check("--scan", "front")
+    assert "remap it: -r front:=/scan" in said, said
 
 
 def test_messages_name_topics_and_services_as_they_are_mapped(field) -> None:

@@ -65,7 +65,7 @@ def main() -> int:
     play.add_argument("--best-effort", action="store_true")
     play.add_argument("--disturb", choices=DISTURBED, default="", help="every other scan")
     play.add_argument("--freeze", choices=FROZEN, default="", help="of the first scan, repeated")
-    play.add_argument("--amcl", type=float, default=0.0, help="seconds of right poses, then wrong")
+    play.add_argument("--amcl", type=Path, help="poses of AMCL, wrong once this file exists")
     play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
     play.add_argument("--first", type=int, default=0, help="scan to begin with")
     play.add_argument("--count", type=int, default=0, help="scans to play; 0: all")

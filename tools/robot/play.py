@@ -37,7 +37,7 @@ class Playing:
     first: int = 0  #: scan to begin with
     count: int = 0  #: scans to play; 0: all
     times: int = 1  #: how often, one after the other
-    amcl: float = 0.0  #: seconds of true poses on /amcl_pose, then 3 m off; 0: no such topic
+    amcl: Path | None = None  #: true poses on /amcl_pose, 3 m off once there is this file
     stay: float = 0.0  #: seconds to stay after the last scan, saying nothing
 
 
@@ -86,8 +86,8 @@ class Player:
             node.create_publisher(ros.sensor_msgs.LaserScan, topic, sensor)
             for topic in topics_of(how.lasers)
         ]
-        self._amcl = None
-        if how.amcl:
+        self._amcl: Any = None
+        if how.amcl is not None:
             kind = ros.geometry_msgs.PoseWithCovarianceStamped
             self._amcl = node.create_publisher(kind, "amcl_pose", latched)
         self._clock = None
@@ -127,9 +127,9 @@ class Player:
                 if maps and late >= after:
                     self.show(maps.pop(0))
                 stamp = float(log.stamps[k]) if how.clock else begin + late
-                if self._amcl is not None and log.poses is not None:
+                if how.amcl is not None and log.poses is not None:
                     mount = log[k].T_base_laser or Pose2D(0.0, 0.0)
-                    pose, off = base_of(Pose2D(*log.poses[k]), mount), 3.0 * (late > how.amcl)
+                    pose, off = base_of(Pose2D(*log.poses[k]), mount), 3.0 * how.amcl.exists()
                     self._amcl.publish(self._claim(replace(pose, x=pose.x + off), stamp))
                 self._step(k, log[k], None if log.odom is None else log.odom[k], stamp)
         time.sleep(how.stay)
