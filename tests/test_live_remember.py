@@ -63,10 +63,19 @@ def test_a_scan_decides_whether_a_remembered_pose_holds(curved) -> None:
     answer = imgloc.localize(curved, scan)
     here = Kept("curved", identity(curved.grid), true, 0.0)
     away = replace(here, pose=Pose2D(true.x + 2.0, true.y, true.theta))
-    for kept, expected in ((here, RESTORED), (away, MOVED), (replace(here, identity="x"), MOVED)):
+    redrawn = replace(here, identity="x")
+    for kept, expected in ((here, RESTORED), (away, MOVED), (redrawn, RESTORED)):
         said, pose = checked(kept, answer, identity(curved.grid))
         assert said == expected
         assert (pose.x, pose.y) == pytest.approx((true.x, true.y), abs=0.1)
+
+
+def test_a_robot_that_was_moved_while_the_map_was_changed_is_told_nothing(curved) -> None:
+    scans = imgloc.simulate(curved.grid, 1, seed=1)
+    away = Kept("curved", "another map", Pose2D(1.0, 1.0), 0.0)
+    answer = imgloc.localize(curved, scans[0])
+    assert answer.verdict == "unique"
+    assert checked(away, answer, identity(curved.grid)) == (REFUSED, None)
 
 
 def test_a_scan_that_is_not_sure_refuses_even_the_place_that_fits_best(curved) -> None:

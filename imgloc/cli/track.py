@@ -221,16 +221,15 @@ def track(
         title = f"{map_name(map_path)}: {inputs.name_of(log)}"
         movie = Video(features, video.suffix.lower(), title) if (video := outputs.video) else None
         recording = None if outputs.mcap is None else Recording(grid)
-        shown = list[Any]()
-        seen = scans.scans.__getitem__ if live is None else live.last
+        shown, seen = list[Any](), scans.scans.__getitem__ if live is None else live.last
         if movie is not None:
             undo.callback(movie.close)
             shown.append(lambda moment: movie.add(moment, seen(moment.index)))
         if recording is not None:
             undo.callback(recording.close)
             shown.append(lambda moment: recording.add(seen(moment.index), moment))
-        watched = asked.watch and _watched(asked.watch, features, options, scans, logs)
-        told = _Told(grid.origin, as_json, outputs.best, watched or None)
+        watched = _watched(asked.watch, features, options, scans, logs)
+        told = _Told(grid.origin, as_json, outputs.best, watched)
         moments, words = _printed(run, len(scans), live, shown, told)
         desk.keep(features)
         truth = _truth_of(given, outputs.truth, moments, scans, live)
@@ -383,9 +382,11 @@ class _Told:
 
 
 def _watched(
-    path: Path, features: "MapFeatures", options: Options, scans: "ScanSet", logs: Logs
-) -> "Callable[[Moment], Opinion]":
-    """What is thought, after each scan, of the last pose of a trajectory."""
+    path: Path | None, features: "MapFeatures", options: Options, scans: "ScanSet", logs: Logs
+) -> "Callable[[Moment], Opinion] | None":
+    """What is thought, after each scan, of the last pose of a trajectory, if there is one."""
+    if path is None:
+        return None
     import numpy as np
 
     from imgloc.filters.watch import Watch

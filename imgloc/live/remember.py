@@ -4,8 +4,9 @@ Nothing tells how long it was off and whether it was carried meanwhile, so one s
 the whole map, as if nothing were known. Only where that answer is sure is a pose taken from it:
 
 =========  =====================================================================================
-restored   on the same map the scan is sure of one place, and it is the remembered one
-moved      the scan alone is very sure of another place, or of any place on another map
+restored   the scan is sure of one place, and it is the remembered one; very sure, if the map is
+           another one since
+moved      the map is the same, and the scan alone is very sure of another place
 refused    else: what is remembered counts for nothing
 =========  =====================================================================================
 
@@ -96,6 +97,7 @@ def checked(kept: Kept, answer: Localization, map_identity: str) -> tuple[str, P
     if answer.verdict != "unique":
         return REFUSED, None
     pose = base_of(answer.hypotheses[0].pose, answer.T_base_laser or Pose2D(0.0, 0.0))
-    if kept.identity == map_identity and one_place(kept.pose, pose):
-        return RESTORED, pose
-    return (MOVED, pose) if alone(answer) else (REFUSED, None)
+    same, there = kept.identity == map_identity, one_place(kept.pose, pose)
+    if (same and there) or ((same or there) and alone(answer)):
+        return RESTORED if there else MOVED, pose
+    return REFUSED, None

@@ -305,7 +305,7 @@ def test_a_pose_is_remembered_and_a_scan_decides_whether_it_still_holds(field, l
     here = np.hypot(truth[:, 0] - pose["x"], truth[:, 1] - pose["y"])
     assert here.min() < 0.1  # where it was
     for said, off, identity in (("restored", 0, kept["identity"]), ("moved", 3, kept["identity"]),
-                                ("moved", 0, "another map")):  # fmt: skip
+                                ("restored", 0, "another map")):  # fmt: skip
         moved = {**kept, "identity": identity, "pose": {**pose, "x": pose["x"] + off}}
         file.write_text(json.dumps(moved))
         before = len(field.heard("initialpose"))
