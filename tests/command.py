@@ -72,11 +72,15 @@ def run(program: Callable[[list[str]], int | None], *arguments: object) -> Run:
     return Run(code or 0, out.getvalue(), err.getvalue())
 
 
+#: Python must not take modules from the current folder; before 3.11 nothing says so.
+SAFE = ("-P",) if sys.version_info >= (3, 11) else ()
+
+
 def command(arguments: Sequence[object]) -> list[str]:
     """Return the real command, for subprocess."""
     # -P: the folder that a test runs in is not on the path, as with the installed script.
     start = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import imgloc.cli.app as a; a.main()"
-    return [sys.executable, "-P", "-c", start, *map(str, arguments)]
+    return [sys.executable, *SAFE, "-c", start, *map(str, arguments)]
 
 
 def spawn(*arguments: object, cwd: Path | None = None) -> Run:

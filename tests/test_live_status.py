@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import typer.main
 import yaml
-from command import ROOT
+from command import ROOT, SAFE
 
 from imgloc.cli.app import program
 from imgloc.filters.belief import Belief
@@ -144,7 +144,7 @@ def test_without_ros_one_error_says_what_to_install() -> None:
         f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['rclpy'] = None\n"
         "import imgloc.cli.app as a; a.main(['node', '--sensor', '0,0,0'])"
     )
-    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, timeout=60)
+    done = subprocess.run([sys.executable, *SAFE, "-c", program], capture_output=True, timeout=60)
     assert done.returncode == 2
     assert b"pip install 'imgloc[node]'" in done.stderr
     assert b"source a ROS 2" in done.stderr

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, ROOT, call, spawn
+from command import MAPS, ROOT, SAFE, call, spawn
 
 import imgloc
 from imgloc.model import LaserScan, Pose2D
@@ -139,6 +139,6 @@ def test_without_the_sdk_one_error_says_what_to_install(tmp_path, log) -> None:
         f"import imgloc.cli.app as a\n"
         f"a.main(['track', {str(MAP)!r}, {str(log)!r}, '--mcap', {str(tmp_path / 'o.mcap')!r}])"
     )
-    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, timeout=60)
+    done = subprocess.run([sys.executable, *SAFE, "-c", program], capture_output=True, timeout=60)
     assert done.returncode == 1
     assert b"pip install 'imgloc[foxglove]'" in done.stderr

@@ -71,7 +71,7 @@ def node(
     remember: Path | None = option(
         None,
         "File that keeps the last sure pose. When the node starts, one scan is looked for on the "
-        "whole map: the pose is restored, refused, or replaced because the robot was moved.",
+        "whole map: the pose is restored, refused, or the robot was moved.",
         metavar="FILE",
     ),
     lifecycle: bool = option(

@@ -40,7 +40,7 @@ from imgloc.live.line import Dropped
 from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Rules, Sighting, alone
-from imgloc.live.remember import REFUSED, Kept, checked, identity, load_kept
+from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
@@ -692,7 +692,8 @@ class LocalizerNode:
         if self._checks and self._check(value, name, asked):
             return
         if isinstance(value, Localization):
-            if self.first.wanted and alone(value) and self.first.fresh(asked.scan.stamp, self.now):
+            fresh = self.first.fresh(asked.scan.stamp, self.now)
+            if self.settings.standing and self.first.wanted and alone(value) and fresh:
                 found = found_of(value, asked.scan.stamp, name)
                 self._show(found, asked, sure=True)
                 self._publish(found, asked)
@@ -720,10 +721,11 @@ class LocalizerNode:
         self._checks, self._remembered, pose = False, REFUSED, None
         if best is not None:
             self._remembered, pose = checked(self._kept, best, self._identity(name))
-        words = f"{self.settings.remember}: {self._remembered}"
+        at = "" if pose is None else f", x {pose.x:.3f} m, y {pose.y:.3f} m"
+        words = f"{self.settings.remember}: {self._remembered}{at}"
         self.node.get_logger().info(f"{words}, {self.now - asked.scan.stamp:.2f} s after the scan")
-        if pose is None or best is None or not self.first.wanted:
-            return False
+        if self._remembered != RESTORED or best is None or not self.first.wanted:
+            return False  # where it was moved to is confirmed along a way, unless `standing`
         found = found_of(best, asked.scan.stamp, name)
         self._robot.map = name if len(self.core.names) > 1 else self._robot.map
         self._show(found, asked, sure=True)

@@ -1,7 +1,7 @@
 """The pose that a robot had when it was switched off, checked by a scan when it starts again.
 
 Nothing tells how long it was off and whether it was carried meanwhile, so one scan is looked for on
-the whole map, as if nothing were known. Only where that answer is sure is a pose taken from it:
+the whole map, as if nothing were known. Only a pose that is restored is published at once:
 
 =========  =====================================================================================
 restored   the scan is sure of one place, and it is the remembered one; very sure, if the map is

@@ -102,7 +102,7 @@ def _started(
     said, pose = checked(kept, answer, identity(features.grid))
     seconds, wrong = time.perf_counter() - begin, False
     if pose is not None:
-        wrong = truth is None
+        wrong = truth is None  # and published, if it is restored or the node has --standing
         if truth is not None:
             errors = pose_errors(np.array([[*pose]]), Pose2D(*truth))[0]
             wrong = bool((errors > NEAR).any())
