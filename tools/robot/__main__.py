@@ -219,9 +219,9 @@ def _watch(given: argparse.Namespace) -> int:
         every.append(one)
         if time.monotonic() > until:
             break
-    for some, counts in healthy(100.0, given.seed):
-        if hours >= given.hours or time.monotonic() > until:
-            break
+    drives = healthy(100.0, given.seed)
+    while hours < given.hours and time.monotonic() < until:
+        some, counts = next(drives)
         hours, said = hours + some, said + Counter(counts)
     head = (
         "fault | drives | agreed before | within 5 s or 2 m | median s | most s | "
