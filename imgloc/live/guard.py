@@ -205,7 +205,7 @@ async def read_body(
     said = int(headers_of(scope).get("content-length", ["0"])[0])
     if said > limit:
         raise Refused("too-large", f"{said:,} bytes, {expected}")
-    data, ended = bytearray(), False
+    data, size, ended = list[bytes](), 0, False
     stop = asyncio.ensure_future(stopping.wait())
     try:
         async with asyncio.timeout(seconds):
@@ -219,18 +219,19 @@ async def read_body(
                 if message["type"] == "http.disconnect":
                     raise Gone
                 some = message.get("body", b"")
-                if len(data) + len(some) > limit:
+                size += len(some)
+                if size > limit:
                     raise Refused("too-large", expected)
                 bodies.take(len(some))
-                scope["body"] = scope.get("body", 0) + len(some)
-                data += some
+                scope["body"] = size
+                data.append(some)
                 ended = not message.get("more_body", False)
     except TimeoutError:
-        found = f"{len(data):,} bytes came in {seconds:g} s"
+        found = f"{size:,} bytes came in {seconds:g} s"
         raise Refused("too-slow", f"{found}, expected the whole body") from None
     finally:
         stop.cancel()
-    return bytes(data)
+    return await asyncio.to_thread(b"".join, data)  # a copy of what is large takes its time
 
 
 class Gone(Exception):  # noqa: N818 (nothing is wrong)
