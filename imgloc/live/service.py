@@ -10,7 +10,6 @@ import contextlib
 import json
 import logging
 import math
-import threading
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -124,12 +123,15 @@ class Ask:
     lanes: Mapping[str, Lane]
     seconds: float
 
-    async def run(
-        self, work: Callable[[], Any], lane: str = "", unwanted: threading.Event | None = None
-    ) -> Any:
+    async def run(self, work: Callable[[], Any], lane: str = "") -> Any:
         """What some work returns, by default in the lane of the route."""
         there = self.lanes[lane or self.route.lane]
-        return await there.run(work, self.seconds, self.request.receive, unwanted)
+        return await there.run(work, self.seconds, self.request.receive, self.client)
+
+    @property
+    def client(self) -> str:
+        """Who asks: its address."""
+        return (self.request.scope.get("client") or ("",))[0]
 
     @property
     def id(self) -> str:
@@ -169,7 +171,8 @@ class Service:
         self.metrics, self.page = Metrics(), page_files()
         self.stopping = asyncio.Event()
         threads = {"files": 1, "answers": 0, "looks": _LOOKS, "layers": 1}
-        self.lanes = {name: Lane(self.bounds.waiting, count) for name, count in threads.items()}
+        self.lanes = {name: Lane(self.bounds.waiting, count, stops=name == "layers")
+                      for name, count in threads.items()}  # fmt: skip
         self.robots = Robots(core, self.bounds, self.lanes["looks"], self._count)
         budget = core.options.memory_budget or 1 << 30
         self._part = budget // 4  # of the memory: for maps that are held twice as much
@@ -426,7 +429,7 @@ class Service:
             what = f"{label}: a map of {grid.info.width} x {grid.info.height} cells"
             all_of_it = need + answer_bytes(features, options)
             check_budget(all_of_it, 2 * self._part, what, "crop the map")
-            id_, gone = self._maps.put(label, need)
+            id_, gone = self._maps.put(label, need, ask.client)
             for one in gone:
                 self._forget(one)
             try:
@@ -514,7 +517,7 @@ class Service:
                 scans = replace(scans, scans=scaled)
             one = ScansHeld(values["name"] or "scans", scans, warnings)
             weight = sum(2 * len(scan.ranges) + _EACH for scan in scans.scans)
-            return one.about(self._scans.put(one, weight)[0])
+            return one.about(self._scans.put(one, weight, ask.client)[0])
 
         found = await ask.run(held)
         return JSONResponse(found, 201, {"Location": f"/v1/scans/{found['id']}"})
@@ -647,7 +650,7 @@ class Service:
 
     async def _likelihood(self, ask: Ask) -> Response:
         site, values = self._site(ask.values["map"])[1], ask.values
-        held, unwanted = self._held(values["scans"]), threading.Event()
+        held = self._held(values["scans"])
         options = site.options(replace(self.core.options, method=values["method"]))
         which = None if values["slice"] == "max" else int(values["slice"])
         names = ("scans", "index", "method", "range_scale", "range_max", "flipped")
@@ -658,11 +661,10 @@ class Service:
                 scan = _one_of(held, values)
                 self._stack = None  # before the next one takes its memory
                 budget = replace(options, memory_budget=2 * self._part)
-                stack = likelihood(site.features, scan, budget, unwanted=unwanted.is_set)
-                self._stack = key, stack
+                self._stack = key, likelihood(site.features, scan, budget)
             return layers.slice_layer(self._stack[1], which)
 
-        return _png(await ask.run(drawn, unwanted=unwanted))
+        return _png(await ask.run(drawn))
 
     async def _atlas(self, ask: Ask) -> Response:
         site, values = self._site(ask.values["map"])[1], ask.values
