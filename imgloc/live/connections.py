@@ -4,7 +4,7 @@ A connection over which nothing has come yet is no more than its descriptor. A c
 for, be it for a head, for a body or until it takes an answer, has so many seconds. If there are too
 many connections, one that has been silent makes room, else the one whose client has been waited for
 longest; if there is none, the next ones wait to be accepted. Some more are accepted all the same:
-those that ask whether the service runs (:data:`PROBES`) are answered, the others are refused.
+those that ask whether the service runs are answered, the others are refused.
 """
 
 import asyncio
@@ -18,7 +18,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from imgloc.live.bounds import Bounds
 from imgloc.live.problems import MEDIA, Refused, problem_of
 
-PROBES = ("/healthz", "/readyz", "/metrics")
 FULL = "full"  #: in the state of a scope: the connection is one too many
 _ROOM = 8  # connections beyond the bound
 _LOOK = 0.25  # seconds between two looks at all connections

@@ -27,7 +27,6 @@ Send = Callable[[Message], Awaitable[None]]
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 _SHORTEST = 16  # characters of a token
 _PROTOCOL = "bearer."  # and the token as base64: browsers give a WebSocket no other header
-OPEN = ("/v1/", "/metrics")  #: what needs the token, if there is one
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -94,8 +93,8 @@ class Access:
             return name in known or _is_address(name)
         return name in known
 
-    def check(self, scope: Scope) -> None:
-        """Refuse a request from elsewhere, or without the token; `scope` is that of ASGI."""
+    def check(self, scope: Scope, *, guarded: bool) -> None:
+        """Refuse a request from elsewhere, or without the token if the route is `guarded`."""
         headers = headers_of(scope)
         hosts, origins = headers.get("host", []), headers.get("origin", [])
         if len(hosts) != 1 or not self.admits(hosts[0]):
@@ -105,7 +104,6 @@ class Access:
         if origins and [origin_host(origin) for origin in origins] != [hosts[0].lower()]:
             some = ", ".join(origins)[:100]
             raise Refused("forbidden", f"Origin: got {some}, expected that of this page")
-        guarded = scope["path"].startswith(OPEN)
         if guarded and headers.get("sec-fetch-site", ["none"])[0] in ("cross-site", "same-site"):
             raise Refused("forbidden", "Sec-Fetch-Site: a page of another site asks")
         if guarded and self.token is not None and not self._has_token(scope, headers):

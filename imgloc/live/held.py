@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 from imgloc.live.problems import Refused
 
 T = TypeVar("T")
-ID = "[0-9a-f]{32}"  #: what an id looks like
+ID_BYTES = 16  #: of an id
 
 
 class Held(Generic[T]):
@@ -49,7 +49,7 @@ class Held(Generic[T]):
                 counts = Counter([*(held[2] for held in left.values()), client])
                 del left[max(idle, key=lambda id_: counts[idle[id_]])]
             gone = tuple(self._things.keys() - left.keys())
-            self._things, id_ = left, secrets.token_hex(16)
+            self._things, id_ = left, secrets.token_hex(ID_BYTES)
             self._things[id_] = thing, weight, client
         return id_, gone
 

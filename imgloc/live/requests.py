@@ -10,7 +10,7 @@ import json
 import logging
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -29,14 +29,18 @@ from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 from imgloc.live.bounds import MIB, Bounds
+from imgloc.live.parameters import Text
 from imgloc.live.problems import Refused
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Reading
 
 JSON, FORM = "application/json", "multipart/form-data"
 _ENDINGS = (*SCAN_ENDINGS, ".yaml", ".yml")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}", re.ASCII)
-NAME = _NAME.pattern  #: what a map may be called
+#: What a map may be called.
+NAME = Text(
+    r"[A-Za-z0-9][A-Za-z0-9._ -]*", 100,
+    "letters, digits, dots, spaces, _ and -, at most 100, a letter or digit first",
+)  # fmt: skip
 _PARTS = 8  # of a form
 # What the parser logs of a form that is damaged, the refusal tells the client.
 logging.getLogger("python_multipart").addHandler(logging.NullHandler())
@@ -252,22 +256,22 @@ def map_of(
 
     The YAML's `image:` is a name: nothing is opened by it. It must be that of the image.
     """
-    image, yaml, file = body, None, name
+    image, yaml, files = body, None, [name]
     if kind_of(content_type) == FORM:
         parts = {part.name: part for part in parts_of(body, content_type)}
         if "image" not in parts or parts.keys() - {"image", "yaml"}:
             some = ", ".join(sorted(repr(shown(key)) for key in parts)) or "none"
             raise Refused("bad-request", f"the form has the parts {some}, expected image and yaml")
-        image, file = parts["image"].data, parts["image"].file
+        image, files = parts["image"].data, [parts["image"].file]
         if "yaml" in parts:
             yaml = parts["yaml"].data
-            _check_yaml(yaml, parts["yaml"].file, file)
-            name = name or _stem(parts["yaml"].file)
+            _check_yaml(yaml, parts["yaml"].file, files[0])
+            files.insert(0, parts["yaml"].file)
     if not image:
         raise MapError("the image is empty, expected that of a map")
-    name = name or _stem(file) or "map"
-    if not _NAME.fullmatch(name):
-        raise MapError(f"name: got {shown(name)!r}, expected {NAME_WORDS}")
+    name = name or _called(files)
+    if NAME.read(name) is None:
+        raise MapError(f"name: got {shown(name)!r}, expected {NAME}")
     reading: Reading = {
         "resolution": how.get("resolution"), "origin": how.get("origin"), "mode": how.get("mode"),
         "semantics": how.get("semantics") or "nav2", "negate": how.get("negate"),
@@ -278,11 +282,15 @@ def map_of(
     return name, map_of_bytes(image, yaml, name, allow_lossy=lossy, **reading)
 
 
-NAME_WORDS = "letters, digits, dots, spaces, _ and -, at most 100, a letter or digit first"
+def _called(files: Sequence[str]) -> str:
+    r"""What a map of some files is called: as its file; one that is called map as its folder.
 
-
-def _stem(file: str) -> str:
-    return "" if not file else PurePosixPath(shown(file)).stem
+    >>> _called(["map.yaml", "hall.png"]), _called(["c:\\lab\\map.yaml", "map.png"]), _called([""])
+    ('hall', 'lab', 'map')
+    """
+    parts = [re.split(r"[/\\]", file)[-2:] for file in files]
+    names = [name for *folder, file in parts for name in (PurePosixPath(file).stem, *folder)]
+    return next((name for name in names if name not in ("", "map")), "map")
 
 
 def _check_yaml(yaml: bytes, file: str, image: str) -> None:

@@ -20,6 +20,7 @@ from imgloc.live.bounds import Bounds
 from imgloc.live.lanes import Lane, waited
 from imgloc.live.line import Dropped
 from imgloc.live.localizer import Localizer
+from imgloc.live.openapi import TRACK
 from imgloc.live.problems import Refused
 from imgloc.live.requests import taken
 from imgloc.live.sites import Site
@@ -127,7 +128,7 @@ class Robots:
         loop = asyncio.get_running_loop()
         while True:
             try:
-                async with asyncio.timeout(self._bounds.silence) as session.until:
+                async with asyncio.timeout(getattr(self._bounds, TRACK.time)) as session.until:
                     message = await socket.receive()
             except TimeoutError:
                 quiet = f"no line for {loop.time() - session.heard:.0f} s"

@@ -22,6 +22,7 @@ import uvicorn
 
 from imgloc.errors import ConfigError
 from imgloc.live.connections import Gate
+from imgloc.live.openapi import TRACK
 from imgloc.live.service import Service
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -167,7 +168,7 @@ def serve(service: Service, one: socket.socket, ready: Callable[[], object]) -> 
     config = uvicorn.Config(
         service, http="h11", ws="websockets-sansio", loop="asyncio",
         lifespan="off", log_config=None, log_level="critical", access_log=False,
-        server_header=False, proxy_headers=False, ws_max_size=bounds.message,
+        server_header=False, proxy_headers=False, ws_max_size=getattr(bounds, TRACK.limit),
         ws_per_message_deflate=False, timeout_keep_alive=math.ceil(bounds.patience), backlog=4096,
         h11_max_incomplete_event_size=1 << 16, timeout_graceful_shutdown=_SENT,
     )  # fmt: skip

@@ -39,7 +39,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.live import layers, openapi
 from imgloc.live.bounds import Bounds
-from imgloc.live.connections import FULL, PROBES
+from imgloc.live.connections import FULL
 from imgloc.live.guard import (
     HEADERS,
     Access,
@@ -76,6 +76,8 @@ _DRAIN = 1.0  # seconds in which what a client still sends of a refused body is 
 _LOOKS = 4  # threads for what is small
 _SMALL = 1 << 16  # bytes of JSON up to which a body is small
 _EACH = 100  # numbers whose memory a scan takes besides its own
+_OPEN = {one.path for one in OPERATIONS if one.who == openapi.ALL}
+_PROBES = {one.path for one in OPERATIONS if one.lane == openapi.PROBES}
 Values = Mapping[str, Any]
 
 
@@ -121,12 +123,12 @@ class Ask:
     values: Values
     route: Operation
     lanes: Mapping[str, Lane]
-    seconds: float
+    bounds: Bounds
 
     async def run(self, work: Callable[[], Any], lane: str = "") -> Any:
         """What some work returns, by default in the lane of the route."""
-        there = self.lanes[lane or self.route.lane]
-        return await there.run(work, self.seconds, self.request.receive, self.client)
+        there, seconds = self.lanes[lane or self.route.lane], getattr(self.bounds, self.route.time)
+        return await there.run(work, seconds, self.request.receive, self.client)
 
     @property
     def client(self) -> str:
@@ -197,8 +199,9 @@ class Service:
             await self._http(scope, receive, send)
 
     async def _enter(self, scope: Scope, receive: Receive, send: Send) -> None:
-        self.access.check(scope)
-        if scope["path"] not in PROBES:
+        path = scope["path"]
+        self.access.check(scope, guarded=path not in self.page and path not in _OPEN)
+        if path not in _PROBES:
             if scope.get("state", {}).get(FULL):
                 raise Refused("busy", "too many connections", retry=1)
             if self.stopping.is_set():
@@ -295,13 +298,13 @@ class Service:
     def _routes(self) -> list[Route | WebSocketRoute]:
         by_path: dict[str, dict[str, tuple[Operation, Endpoint]]] = {}
         for path in self.page:
-            at = Operation("get", path, "static", "", "", "", {})
+            at = Operation("get", path, "static", "", "", "", {}, who=openapi.ALL)
             by_path[path] = {"get": (at, self._static)}
         for one in OPERATIONS:
             by_path.setdefault(one.path, {})[one.method] = one, getattr(self, f"_{one.run}")
         routes = [Route(path, self._endpoint(by), methods=[m.upper() for m in by])
                   for path, by in by_path.items()]  # fmt: skip
-        return [WebSocketRoute("/v1/track", self._track), *routes]
+        return [WebSocketRoute(openapi.TRACK.path, self._track), *routes]
 
     def _endpoint(
         self, by_method: Mapping[str, tuple[Operation, Endpoint]]
@@ -313,7 +316,7 @@ class Service:
             route, does = by_method[method]
             given = read_query(request.scope["query_string"], route.parameters)
             values = with_defaults(given, route.parameters)
-            return await does(Ask(request, values, route, self.lanes, self.bounds.seconds))
+            return await does(Ask(request, values, route, self.lanes, self.bounds))
 
         return run
 
@@ -465,11 +468,12 @@ class Service:
 
     async def _body(self, ask: Ask, limit: int | None = None) -> tuple[bytes, str]:
         """The body, and its media type."""
+        request, limit = ask.request, limit or getattr(self.bounds, ask.route.limit)
         body = await read_body(
-            ask.request.scope, ask.request.receive, limit=limit or self.bounds.max_body,
-            seconds=self.bounds.patience, stopping=self.stopping, bodies=self.bodies,
+            request.scope, request.receive, limit=limit, seconds=self.bounds.patience,
+            stopping=self.stopping, bodies=self.bodies,
         )  # fmt: skip
-        return body, ask.request.headers.get("content-type", "")
+        return body, request.headers.get("content-type", "")
 
     async def _asked(self, ask: Ask, site: Site | None) -> tuple[list[int], Sent, Prior]:
         """Which scans are asked about, the set that they are of, and what is known of the pose."""
@@ -687,8 +691,8 @@ class Service:
 
     async def _track(self, socket: WebSocket) -> None:
         """A line in, a line out, as `imgloc track --json` has it."""
-        given = read_query(socket.scope["query_string"], openapi.TRACK)
-        values = with_defaults(given, openapi.TRACK)
+        given = read_query(socket.scope["query_string"], openapi.TRACK.parameters)
+        values = with_defaults(given, openapi.TRACK.parameters)
         name = self._site(values["map"])[0]
         try:
             await self.robots.follow(socket, values, name, lambda: self._site(name)[1])
