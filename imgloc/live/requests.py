@@ -26,7 +26,7 @@ from imgloc.io.maps import map_of_bytes
 from imgloc.io.mapyaml import MAX_YAML_BYTES, parse_map_yaml
 from imgloc.io.own import parse_json
 from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
-from imgloc.io.scanset import ScanSet
+from imgloc.io.scanset import MAX_RAYS, ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 from imgloc.live.bounds import MIB, Bounds
 from imgloc.live.parameters import Text
@@ -42,6 +42,7 @@ NAME = Text(
     "letters, digits, dots, spaces, _ and -, at most 100, a letter or digit first",
 )  # fmt: skip
 _PARTS = 8  # of a form
+_PIECE = 1 << 16  # characters that are counted in one go
 # What the parser logs of a form that is damaged, the refusal tells the client.
 logging.getLogger("python_multipart").addHandler(logging.NullHandler())
 
@@ -212,6 +213,14 @@ def marked_of(body: bytes, scans: ScanSet) -> ScanSet:
     return replace(scans.take(indices), poses=np.array([row[1:] for row in rows]))
 
 
+def read_line(text: str, where: str) -> ScanSet:
+    """The scan of a line of JSON, which no thread can interrupt: a long one is refused before."""
+    commas = sum(text.count(",", k, k + _PIECE) for k in range(0, len(text), _PIECE))
+    if commas > (most := 4 * MAX_RAYS):  # ranges, angles, intensities, and the rest
+        raise Refused("too-large", f"{where}: {commas:,} values, expected at most {most:,}")
+    return read_jsonl_line(text, where)
+
+
 _STEPS, _TURNS = ("angle_min", "angle_max", "angle_increment"), 4 * math.pi  # radians
 
 
@@ -223,7 +232,7 @@ def _scan_of(body: bytes) -> ScanSet:
         text = body.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ScanError(f"body: byte {error.start} is not UTF-8 text") from None
-    scan = read_jsonl_line(text, "body")
+    scan = read_line(text, "body")
     given = json.loads(text)
     for key in (*_STEPS, "range_min", "range_max"):  # also where the angles make a step needless
         value, most = given.get(key), math.inf if key[0] == "r" else _TURNS

@@ -700,8 +700,11 @@ class Service:
             if socket.application_state != WebSocketState.CONNECTED:
                 raise
             problem = self._problem(error)
-            await socket.send_text(problem.body.decode())
-            await socket.close(1011 if problem.status == 500 else 1007, "see the last message")
+            with contextlib.suppress(TimeoutError):  # of one that does not read
+                async with asyncio.timeout(_DRAIN):
+                    await socket.send_text(problem.body.decode())
+                    code = 1011 if problem.status == 500 else 1007
+                    await socket.close(code, "see the last message")
 
 
 def _one_of(held: ScansHeld, values: Values) -> LaserScan:
