@@ -1,14 +1,12 @@
 """Connections: each state of one has a time, and there are never more than the bound.
 
-A connection over which nothing has come yet is no more than its descriptor. A client that is waited
-for, be it for a head, for a body or until it takes an answer, has so many seconds. If there are too
-many connections, one that has been silent makes room, else the one whose client has been waited for
-longest; if there is none, the next ones wait to be accepted. Some more are accepted all the same:
+A client that is waited for, be it for a head, for a body or until it takes an answer, has so many
+seconds. If there are too many connections, the one whose client has been waited for longest makes
+room; if there is none, the next ones wait to be accepted. Some more are accepted all the same:
 those that ask whether the service runs are answered, the others are refused.
 """
 
 import asyncio
-import contextlib
 import socket
 from typing import Any
 
@@ -20,9 +18,9 @@ from imgloc.live.problems import MEDIA, Refused, problem_of
 
 FULL = "full"  #: in the state of a scope: the connection is one too many
 _ROOM = 8  # connections beyond the bound
+_FRESH = 0.01  # seconds that a client has at least until it has to make room
 _LOOK = 0.25  # seconds between two looks at all connections
 _PAUSE = 0.005
-_FRESH = 0.01  # seconds that a client has at least until it has to make room with its silence
 _NEXT = 0.1  # seconds until the next request of a client that asks again before it has an answer
 
 
@@ -57,8 +55,7 @@ class _Connection(H11Protocol):
 
     def on_response_complete(self) -> None:
         self.since, self.served = self.loop.time(), True
-        # Who asks a hundred times at once must not have all turns of the loop.
-        if self.conn.trailing_data[0]:
+        if self.conn.trailing_data[0]:  # who asks a hundred times at once has not all turns
             self.loop.call_later(_NEXT, super().on_response_complete)
         else:
             super().on_response_complete()
@@ -88,68 +85,32 @@ class Gate:
         self._server, self._bounds = server, bounds
         self._there: Any = server.server_state.connections
         self._loop, self._closing = asyncio.get_running_loop(), dict[Any, float]()
-        self._silent = dict[socket.socket, float]()  # since when, the oldest first
-        self._coming = set[asyncio.Task[Any]]()
 
     async def accept(self, one: socket.socket) -> None:
-        """Accept who comes to a socket, until it is cancelled."""
-        try:
-            while True:
-                while self._count() >= self._bounds.connections + _ROOM:
-                    await asyncio.sleep(0 if self.make_room() else _PAUSE)
-                try:
-                    client, _ = await self._loop.sock_accept(one)
-                except OSError:  # there is no descriptor, or the client has gone
-                    await asyncio.sleep(_PAUSE)
-                    continue
-                self._silent[client] = self._loop.time()
-                self._loop.add_reader(client, self._begin, client)
-        finally:
-            for client in list(self._silent):
-                self._shut(client)
-
-    def _begin(self, client: socket.socket) -> None:
-        """Something has come: this is a connection, unless it is the end."""
-        if not _peeked(client):
-            self._shut(client)
-            return
-        self._loop.remove_reader(client)
-        del self._silent[client]
-        task = self._loop.create_task(self._connect(client))
-        self._coming.add(task)
-        task.add_done_callback(self._coming.discard)
-
-    async def _connect(self, client: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            await self._loop.connect_accepted_socket(self._made, client)
+        """Accept who comes to a socket, for ever."""
+        while True:
+            while len(self._there) >= self._bounds.connections + _ROOM:
+                await asyncio.sleep(0 if self.make_room() else _PAUSE)
+            try:
+                client, _ = await self._loop.sock_accept(one)
+                await self._loop.connect_accepted_socket(self._made, client)
+            except OSError:  # there is no descriptor, or the client has gone
+                await asyncio.sleep(_PAUSE)
 
     def _made(self) -> _Connection:
         made = _Connection(self._server.config, self._server.server_state, {}, self._loop)
         made.gate = self
         return made
 
-    def _count(self) -> int:
-        return len(self._there) + len(self._silent) + len(self._coming)
-
-    def _shut(self, client: socket.socket) -> None:
-        """Close a connection over which nothing has come."""
-        del self._silent[client]
-        self._loop.remove_reader(client)
-        client.close()
-
     def make_room(self, for_: _Connection | None = None) -> bool:
         """Close whom we wait for longest, if there are too many; whether that is enough."""
         there = [one for one in self._there if not getattr(one, "gone", False)]
-        many = len(there) + len(self._silent) + len(self._coming) - self._bounds.connections
-        if many <= 0:
+        if len(there) <= self._bounds.connections:
             return True
         late = self._loop.time() - _FRESH
-        silent = [one for one, since in self._silent.items() if since < late and not _peeked(one)]
-        for client in silent[:many]:
-            self._shut(client)
-        many -= len(silent[:many])
         idle = [one for one in there if isinstance(one, _Connection) and one is not for_
-                and one.state != "work"]  # fmt: skip
+                and one.state != "work" and one.since < late]  # fmt: skip
+        many = len(there) - self._bounds.connections
         for one in sorted(idle, key=lambda one: (one.served, one.since))[:many]:
             one.gone = True
             one.transport.abort()
@@ -161,8 +122,6 @@ class Gate:
             await asyncio.sleep(_LOOK)
             now = self._loop.time()
             late, there = now - self._bounds.patience, list(self._there)
-            for client in [one for one, since in self._silent.items() if since < late]:
-                self._shut(client)
             shut = [one for one in there if one.transport.is_closing()]
             self._closing = {one: self._closing.get(one, now) for one in shut}
             for one in there:
@@ -171,13 +130,3 @@ class Gate:
                     since = min(since, one.since)
                 if since < late:
                     one.transport.abort()
-
-
-def _peeked(client: socket.socket) -> bytes | None:
-    """The first byte that has come, none at the end; None if nothing has come yet."""
-    try:
-        return client.recv(1, socket.MSG_PEEK)
-    except BlockingIOError:
-        return None
-    except OSError:
-        return b""

@@ -60,6 +60,9 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets=[])
         gate, (one,) = Gate(self, self.service.bounds), sockets or [socket.socket()]
+        if sys.platform == "linux":  # who says nothing yet is kept by the system: no descriptor
+            patience = math.ceil(self.service.bounds.patience)
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, patience)
         one.listen(self.config.backlog)
         one.setblocking(False)
         self._gate = [asyncio.ensure_future(gate.accept(one)), asyncio.ensure_future(gate.watch())]
