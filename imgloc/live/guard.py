@@ -45,17 +45,10 @@ HEADERS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Access:
-    """Who may ask.
+    """Who may ask a service at `host`, which is also called by other `names`.
 
-    Parameters
-    ----------
-    host : str
-        Address that the service listens at. A ConfigError if it is not loopback and there is no
-        `token`.
-    token : str, optional
-        What requests must carry, at least 16 visible characters; else a ConfigError.
-    names : sequence of str
-        Hosts by which the service is called besides.
+    Requests must carry the `token`, if there is one. A ConfigError if it has less than 16 visible
+    characters, or if there is none and others than this machine reach the host.
 
     Examples
     --------
@@ -192,8 +185,8 @@ def ending() -> Refused:
 
 
 async def read_body(
-    scope: Scope, receive: Receive, *, limit: int, seconds: float, stopping: asyncio.Event,
-    bodies: Bodies,
+    scope: Scope, receive: Receive, bodies: Bodies, stopping: asyncio.Event, *, limit: int,
+    seconds: float,
 ) -> bytes:  # fmt: skip
     """The body of a request, of at most `limit` bytes, if it comes within so many seconds.
 

@@ -28,12 +28,9 @@ class Held(Generic[T]):
     """
 
     def __init__(
-        self,
-        most: int,
-        weight: int | None = None,
-        what: str = "upload",
+        self, most: int, weight: int | None = None, what: str = "upload",
         used: Callable[[str], object] = lambda _: False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._most, self._weight, self._what, self._used = most, weight, what, used
         self._things: OrderedDict[str, tuple[T, int, str]] = OrderedDict()
         self._lock = Lock()

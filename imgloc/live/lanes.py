@@ -59,29 +59,23 @@ def _raise(thread: int, what: type[BaseException] | None) -> None:
 @dataclass
 class _Place:
     client: str
+    here: asyncio.Future[Any]
     pushed: bool = False  # out of the lane, by a client that has fewer places
 
 
 class Lane:
     """A bounded queue in front of some work, of which no client has all places.
 
-    Parameters
-    ----------
-    waiting : int
-        How many may be under way, running or waiting. Beyond it the client that has most places
-        gives one that waits to a client that has fewer; others are refused with a time to come
-        back.
-    threads : int
-        Of the lane's own executor; 0: the work that comes is a future already.
-    stops : bool
-        Work that nobody waits for any more is stopped while it runs, not only while it waits.
+    So many pieces may be `waiting` besides those that run in its `threads`; with none, the work
+    that comes is a future already. Beyond it the client with most places gives one that waits to a
+    client with fewer; others are refused. A lane that `stops` stops what nobody waits for where it
+    runs, others before it runs.
     """
 
     def __init__(self, waiting: int, threads: int = 0, *, stops: bool = False) -> None:
         self._most, self._stops = waiting + max(threads, 1), stops
         self._pool = ThreadPoolExecutor(threads, "imgloc") if threads else None
-        self._places = dict[Future[Any], _Place]()
-        self._stopped, self._waited = False, set[asyncio.Future[Any]]()
+        self._places, self._stopped = dict[Future[Any], _Place](), False
 
     @property
     def pending(self) -> int:
@@ -92,34 +86,23 @@ class Lane:
         self, work: Callable[[], Any], seconds: float, receive: Receive | None = None,
         client: str = "",
     ) -> Any:  # fmt: skip
-        """What the work returns, here a function or what starts it and gives its future.
+        """What the work returns: called in a thread of the lane, or without one here, for a future.
 
-        Parameters
-        ----------
-        work : callable
-            Called in a thread of the lane; in one without threads here, for a future.
-        seconds : float
-            After which it is refused as out of time.
-        receive : callable, optional
-            Of the request: if its client goes, the work is taken back.
-        client : str
-            Who asks.
+        It is refused after so many `seconds`, and taken back if the client of `receive` goes.
         """
         if self._stopped:
             raise ending()
         self._make_place(client)
         piece = Piece(work)
         future: Future[Any] = self._pool.submit(piece) if self._pool else work()
-        place = self._places[future] = _Place(client)
-        loop = asyncio.get_running_loop()
+        here, loop = asyncio.wrap_future(future), asyncio.get_running_loop()
+        place = self._places[future] = _Place(client, here)
 
         def done(_: Any) -> None:
             if not loop.is_closed():
                 loop.call_soon_threadsafe(self._places.pop, future, None)
 
         future.add_done_callback(done)
-        here = asyncio.wrap_future(future)
-        self._waited.add(here)
         try:
             return await waited(here, seconds, receive)
         except Refused:
@@ -127,7 +110,6 @@ class Lane:
                 raise self._busy() from None
             raise
         finally:
-            self._waited.discard(here)
             if self._stops:
                 piece.stop()
 
@@ -150,8 +132,8 @@ class Lane:
 
     def give_up(self) -> None:
         """Refuse also what runs."""
-        for one in tuple(self._waited):
-            one.cancel()
+        for place in tuple(self._places.values()):
+            place.here.cancel()
 
     def stop(self) -> None:
         """Refuse what comes, and what waits."""

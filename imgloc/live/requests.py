@@ -121,31 +121,13 @@ def shown(name: str) -> str:
 
 
 def scans_of(
-    body: bytes,
-    content_type: str,
-    name: str,
-    bounds: Bounds,
-    *,
-    budget: int | None = None,
-    topic: str | None = None,
-    fov: float | None = None,
-) -> Sent:
+    body: bytes, content_type: str, name: str, bounds: Bounds, *, budget: int | None = None,
+    topic: str | None = None, fov: float | None = None,
+) -> Sent:  # fmt: skip
     """The scans of a body: a LaserScan as JSON, or any file of scans, also as a part of a form.
 
-    Parameters
-    ----------
-    body, content_type : bytes, str
-    name : str
-        Of the file: its ending tells the format; without one the content does.
-    bounds : Bounds
-    budget : int, optional
-        Bytes of memory that this may take.
-    topic, fov : str, float, optional
-        As of :func:`imgloc.load_scans`.
-
-    Raises
-    ------
-    ScanError, Refused
+    The ending of its `name` sets the format; without one the content does. Reading takes at most
+    `budget` bytes of memory. `topic` and `fov` (radians) are those of :func:`imgloc.load_scans`.
     """
     if not body:
         raise ScanError("the body is empty, expected a scan or a file of scans")

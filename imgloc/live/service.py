@@ -24,6 +24,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, Router, WebSocketRoute
+from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketState
 
 from imgloc.answers.diagnose import Given, doubts, is_doubtful
@@ -40,18 +41,7 @@ from imgloc.likelihoods.stacks import likelihood
 from imgloc.live import layers, openapi
 from imgloc.live.bounds import Bounds
 from imgloc.live.connections import FULL
-from imgloc.live.guard import (
-    HEADERS,
-    Access,
-    Bodies,
-    Gone,
-    Message,
-    Receive,
-    Scope,
-    Send,
-    ending,
-    read_body,
-)
+from imgloc.live.guard import HEADERS, Access, Bodies, Gone, ending, read_body
 from imgloc.live.held import Held
 from imgloc.live.lanes import Lane
 from imgloc.live.localizer import Localizer
@@ -150,24 +140,12 @@ Endpoint = Callable[[Ask], Awaitable[Response]]
 
 
 class Service:
-    """An ASGI application around a core.
-
-    Parameters
-    ----------
-    core : Localizer
-        Its maps; clients may send more, each for itself.
-    access : Access
-    bounds : Bounds
-    given : Begun
-    """
+    """An ASGI application around a core and its maps; clients may send more, each for itself."""
 
     def __init__(
-        self,
-        core: Localizer,
-        access: Access | None = None,
-        bounds: Bounds | None = None,
+        self, core: Localizer, access: Access | None = None, bounds: Bounds | None = None,
         given: Begun | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.core, self.access = core, access or Access()
         self.bounds, self.given = bounds or Bounds(), given or Begun()
         self.metrics, self.page = Metrics(), page_files()
@@ -325,11 +303,11 @@ class Service:
     async def _health(self, _: Ask) -> Response:
         return JSONResponse({"status": "ok"})
 
-    async def _ready(self, _: Ask) -> Response:
+    async def _ready(self, ask: Ask) -> Response:
         if self.stopping.is_set():
             raise ending()
         self._check_prepared()
-        return JSONResponse({"status": "ok"})
+        return await self._health(ask)
 
     def _check_prepared(self) -> None:
         if not all(self.core.state(name) == "ready" for name in self._names):
@@ -424,14 +402,11 @@ class Service:
         def held() -> dict[str, Any]:
             label, grid = map_of(body, kind, values["name"] or "", self.bounds, values)
             options = self.core.options
-            features = prepare(
-                grid, label, ready=False,
-                memory_budget=options.memory_budget, threads=options.threads,
-            )  # fmt: skip
-            need = features.bytes_for(FUSED)
+            limits = {"memory_budget": options.memory_budget, "threads": options.threads}
+            features = prepare(grid, label, ready=False, **limits)
+            need, most = features.bytes_for(FUSED), 2 * self._part
             what = f"{label}: a map of {grid.info.width} x {grid.info.height} cells"
-            all_of_it = need + answer_bytes(features, options)
-            check_budget(all_of_it, 2 * self._part, what, "crop the map")
+            check_budget(need + answer_bytes(features, options), most, what, "crop the map")
             id_, gone = self._maps.put(label, need, ask.client)
             for one in gone:
                 self._forget(one)
@@ -448,9 +423,7 @@ class Service:
     async def _drop_map(self, ask: Ask) -> Response:
         name = self._site(ask.id)[0]
         if name not in self._maps:
-            raise Refused(
-                "name-taken", f"{name}: is a map of the service itself, and cannot be removed"
-            )
+            raise Refused("name-taken", f"{name}: a map of the service itself cannot be removed")
         if count := self.robots.within(name):
             some = "a robot is" if count == 1 else f"{count} robots are"
             raise Refused("in-use", f"{name}: {some} followed in it; remove it when they are gone")
@@ -469,10 +442,8 @@ class Service:
     async def _body(self, ask: Ask, limit: int | None = None) -> tuple[bytes, str]:
         """The body, and its media type."""
         request, limit = ask.request, limit or getattr(self.bounds, ask.route.limit)
-        body = await read_body(
-            request.scope, request.receive, limit=limit, seconds=self.bounds.patience,
-            stopping=self.stopping, bodies=self.bodies,
-        )  # fmt: skip
+        body = await read_body(request.scope, request.receive, self.bodies, self.stopping,
+                               limit=limit, seconds=self.bounds.patience)  # fmt: skip
         return body, request.headers.get("content-type", "")
 
     async def _asked(self, ask: Ask, site: Site | None) -> tuple[list[int], Sent, Prior]:
@@ -675,14 +646,13 @@ class Service:
         held, options = self._held(values["scans"]), site.options(self.core.options)
         how = {key: values[key] for key in ("step", "headings", "start")}
         survey = behind("survey_part")
-        work = lambda: survey(site.features, _one_of(held, values), options, **how)  # noqa: E731
-        return JSONResponse(await ask.run(work))
+        return JSONResponse(await ask.run(
+            lambda: survey(site.features, _one_of(held, values), options, **how)))  # fmt: skip
 
     async def _visibility(self, ask: Ask) -> Response:
         site = self._site(ask.values["map"])[1]
-        return JSONResponse(await ask.run(
-            lambda: layers.seen_from(site.features, ask.values["at"])
-        ))  # fmt: skip
+        at = ask.values["at"]
+        return JSONResponse(await ask.run(lambda: layers.seen_from(site.features, at)))
 
     async def _region(self, ask: Ask) -> Response:
         site = self._site(ask.values["map"])[1]
