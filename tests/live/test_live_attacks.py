@@ -111,6 +111,16 @@ def test_a_long_list_of_indices_is_refused_before_it_is_made(service: Served) ->
     assert "at most 1,000 at once; index names some" in answer.json()["detail"]
 
 
+def test_json_of_millions_of_numbers_is_refused_before_it_holds_all_threads(
+    service: Served,
+) -> None:
+    body = b'{"angle_min": 0, "angle_increment": 0.001, "ranges": [' + b"1," * 500_000 + b"1]}"
+    kind = {"Content-Type": "application/json"}
+    answer = httpx.post(f"{service.address}/v1/localize", content=body, headers=kind, timeout=60)
+    assert answer.status_code == 413
+    assert "500,002 values, expected at most 400,000" in answer.json()["detail"]
+
+
 def test_marks_are_no_more_than_there_are_scans(service: Served) -> None:
     id_ = sent_scans(service, json.dumps(SCAN).encode())
     url = f"{service.address}/v1/scans/{id_}/marked"
@@ -271,6 +281,29 @@ def test_robots_that_speak_make_no_room(service: Served) -> None:
             stack.enter_context(connect(url))
         with pytest.raises(Exception, match="503"):
             connect(url)
+
+
+def test_a_robot_that_does_not_read_is_followed_no_more() -> None:
+    with served(CURVED, "--patience", 0.5) as one, socket.socket() as mute:
+        mute.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        mute.connect(("127.0.0.1", one.port))
+        mute.sendall(
+            f"GET /v1/track?places=true HTTP/1.1\r\nHost: 127.0.0.1:{one.port}\r\n"
+            "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+        )
+        mute.settimeout(60)
+        assert mute.recv(20).startswith(b"HTTP/1.1 101 ")
+        mute.setblocking(False)
+        line = LINE.encode()
+        frame = b"\x81\xfe" + len(line).to_bytes(2, "big") + bytes(4) + line  # masked by zeros
+        until, rest = time.monotonic() + 60, b""
+        while "imgloc_sockets 1.0" in metrics(one):
+            assert time.monotonic() < until
+            rest = rest or 20 * frame
+            with contextlib.suppress(OSError):
+                rest = rest[mute.send(rest) :]
+        assert re.search(r'refused.*"too-slow"} 1.0', metrics(one))
 
 
 @pytest.mark.parametrize("state", ["silent", "head", "idle", "body", "unread", "robot", "layer"])
