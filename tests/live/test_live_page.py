@@ -767,7 +767,7 @@ def test_a_map_that_cannot_be_shown_says_why_and_comes_later(browser: Any, servi
     page.goto(service)
     blank = page.locator("#blank")
     sync.expect(blank).to_have_text(
-        "The map cannot be shown: no answer within 3 s The page asks again."
+        "The map cannot be shown: no answer within 3 s. The page asks again."
     )
     sync.expect(blank).to_be_hidden()
     assert len(refused) == 2

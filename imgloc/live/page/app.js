@@ -57,7 +57,7 @@ async function loadCells() {
   cells = null;
   change({ blank: "" });
   redraw();
-  const tell = (error) => here() && change({ blank: `The map cannot be shown: ${error.message}${error.passes ? " The page asks again." : ""}` });
+  const tell = (error) => here() && change({ blank: `The map cannot be shown: ${error.message.replace(/\.?$/, ".")}${error.passes ? " The page asks again." : ""}` });
   try {
     const image = map && await api.again(() => here() && api.cells(map.id), tell);
     if (!here() || !image) return;
