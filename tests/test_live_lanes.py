@@ -68,6 +68,15 @@ def test_a_stop_that_comes_late_hits_no_other_work() -> None:
     assert all(k % 2 == 0 for k in stopped)
 
 
+def test_work_that_is_stopped_before_it_begins_does_not_begin() -> None:
+    done = list[int]()
+    piece = Piece(lambda: done.append(1))
+    piece.stop()
+    with pytest.raises(Unwanted):
+        piece()
+    assert done == []
+
+
 def test_a_client_that_fills_a_lane_gives_places_to_others() -> None:
     async def run() -> None:
         lane, gate = Lane(3, 1), threading.Event()

@@ -147,8 +147,11 @@ def beam(
                 cv2.LUT(entry, table, dst=value)
                 cv2.add(total, value, dst=total)  # eq. 2, its logarithm
 
-    with ThreadPoolExecutor(threads) as pool:
+    pool = ThreadPoolExecutor(threads)
+    try:
         list(pool.map(heading, range(k)))
+    finally:
+        pool.shutdown(cancel_futures=True)  # where somebody stops it
     return out
 
 

@@ -30,11 +30,13 @@ class Piece:
     """
 
     def __init__(self, work: Callable[[], Any]) -> None:
-        self._work, self._lock, self._thread = work, threading.Lock(), 0
+        self._work, self._lock, self._thread, self._wanted = work, threading.Lock(), 0, True
 
     def __call__(self) -> Any:
         """Do it, in any thread."""
         with self._lock:
+            if not self._wanted:
+                raise Unwanted
             self._thread = threading.get_ident()
         try:
             return self._work()
@@ -44,8 +46,9 @@ class Piece:
                 self._thread = 0
 
     def stop(self) -> None:
-        """Let it raise :class:`Unwanted` if it runs; to be called once."""
+        """Let it raise :class:`Unwanted` where it is, or where it begins; to be called once."""
         with self._lock:
+            self._wanted = False
             if self._thread:
                 _raise(self._thread, Unwanted)
 
