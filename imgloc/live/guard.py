@@ -157,16 +157,7 @@ def headers_of(scope: Scope) -> dict[str, list[str]]:
 
 
 class Bodies:
-    """The memory that the bodies of all requests take together.
-
-    >>> bodies = Bodies(10)
-    >>> bodies.take(8)
-    >>> bodies.take(8)
-    Traceback (most recent call last):
-        ...
-    imgloc.live.problems.Refused: the bodies of other requests fill the memory; come back in a \
-second
-    """
+    """The memory that the bodies of all requests take together."""
 
     def __init__(self, most: int) -> None:
         self.most, self.held = most, 0

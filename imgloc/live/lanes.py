@@ -13,6 +13,7 @@ from imgloc.live.guard import Gone, Receive, ending
 from imgloc.live.problems import Refused
 
 T = TypeVar("T")
+_AGAIN = 1.0  # seconds until what still runs is stopped again
 
 
 class Unwanted(BaseException):
@@ -20,14 +21,7 @@ class Unwanted(BaseException):
 
 
 class Piece:
-    """Work that can be stopped while it runs.
-
-    >>> piece = Piece(lambda: [piece.stop(), sum(range(9))])
-    >>> piece()
-    Traceback (most recent call last):
-        ...
-    imgloc.live.lanes.Unwanted
-    """
+    """Work that can be stopped while it runs."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
         self._work, self._lock, self._thread, self._wanted = work, threading.Lock(), 0, True
@@ -39,18 +33,29 @@ class Piece:
                 raise Unwanted
             self._thread = threading.get_ident()
         try:
-            return self._work()
-        finally:
-            with self._lock:  # what is raised here must not come later, in the work of others
-                _raise(self._thread, None)
-                self._thread = 0
+            try:
+                return self._work()
+            finally:
+                self._leave()
+        except Unwanted:  # perhaps while it left
+            self._leave()
+            raise
 
-    def stop(self) -> None:
-        """Let it raise :class:`Unwanted` where it is, or where it begins; to be called once."""
+    def _leave(self) -> None:
+        with self._lock:  # what is raised here must not come later, in the work of others
+            _raise(self._thread, None)
+            self._thread = 0
+
+    def stop(self) -> bool:
+        """Let it raise :class:`Unwanted` where it is, or where it begins; whether it still runs.
+
+        What is raised in a callback of the interpreter is lost: ask again a little later.
+        """
         with self._lock:
             self._wanted = False
             if self._thread:
                 _raise(self._thread, Unwanted)
+            return bool(self._thread)
 
 
 def _raise(thread: int, what: type[BaseException] | None) -> None:
@@ -114,7 +119,11 @@ class Lane:
             raise
         finally:
             if self._stops:
-                piece.stop()
+                self._stop(piece)
+
+    def _stop(self, piece: Piece) -> None:
+        if piece.stop():
+            asyncio.get_running_loop().call_later(_AGAIN, self._stop, piece)
 
     def _busy(self) -> Refused:
         found = f"{self.pending} requests are under way"
