@@ -100,8 +100,11 @@ def ray_distances(
             _look(canvas[::-1], back, solid, resolution, limit, stack[k + n_psi // 2])
 
     turns = range(n_psi // 2 if n_psi % 2 == 0 else n_psi)
-    with ThreadPoolExecutor(max(1, threads)) as pool:
+    pool = ThreadPoolExecutor(max(1, threads))
+    try:
         list(pool.map(direction, turns))
+    finally:
+        pool.shutdown(cancel_futures=True)  # where somebody stops it
     return stack
 
 

@@ -25,7 +25,7 @@ from imgloc.io.scanset import (
 from imgloc.io.text import MAX_TEXT, open_text, read_text
 from imgloc.options import MAX_BAD
 
-_BLOCK = 1 << 20  # bytes
+_BLOCK = 1 << 16  # bytes: other threads have their turn between two
 MAX_LINE = 64 * MAX_RAYS
 """Characters of a line of text, which holds a scan."""
 _WRAPS = ("msg", "message", "data", "value")  # keys of what a message came in

@@ -1,6 +1,5 @@
 """The beam model, eq. 2, for every pose of a lattice: the paper's "Table" as image operations."""
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -33,7 +32,6 @@ def beam(
     lost: float = 1.0,
     range_max: float = np.inf,
     threads: int = 1,
-    unwanted: Callable[[], bool] | None = None,
 ) -> Float32Array:
     """Compute the log-likelihood of a scan for the poses at all cell centres and headings.
 
@@ -62,8 +60,6 @@ def beam(
         surfaces.
     threads : int
         Number of threads, each for some headings. The result does not depend on it.
-    unwanted : callable, optional
-        Asked at each heading; if it is true, the work ends with an InterruptedError.
 
     Returns
     -------
@@ -137,8 +133,6 @@ def beam(
     rows = max(1, _BLOCK // max(1, distances.shape[2]))
 
     def heading(index: int) -> None:
-        if unwanted is not None and unwanted():
-            raise InterruptedError("nobody waits for it")
         for top in range(0, distances.shape[1], rows):
             total = out[index, top : top + rows]
             ahead, offset = np.empty((2, *total.shape), np.uint16)
@@ -153,8 +147,11 @@ def beam(
                 cv2.LUT(entry, table, dst=value)
                 cv2.add(total, value, dst=total)  # eq. 2, its logarithm
 
-    with ThreadPoolExecutor(threads) as pool:
+    pool = ThreadPoolExecutor(threads)
+    try:
         list(pool.map(heading, range(k)))
+    finally:
+        pool.shutdown(cancel_futures=True)  # where somebody stops it
     return out
 
 

@@ -1,6 +1,6 @@
 """The stack of a method by its name."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from imgloc.errors import ConfigError, expect
@@ -30,8 +30,6 @@ def likelihood(
     features: MapFeatures,
     scan: LaserScan,
     options: Options | str,
-    *,
-    unwanted: Callable[[], bool] | None = None,
 ) -> Likelihood:
     """Compute the full stack of one of the paper's methods.
 
@@ -43,9 +41,6 @@ def likelihood(
         The scan, in the sensor frame.
     options : Options or str
         Options of the method, or only its name.
-    unwanted : callable, optional
-        Whether nobody waits for the stack any more: asked from time to time by ``beam``, which
-        takes long. It then ends with an InterruptedError.
 
     Returns
     -------
@@ -79,8 +74,7 @@ def likelihood(
     check_budget(need, budget, what, "use larger cells, a larger theta step, or the method 'fused'")
     engine = options.engine
     values = stack_of(
-        method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget,
-        unwanted=unwanted,
+        method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
     )  # fmt: skip
     values.flags.writeable = False  # nobody else has it: no need of a copy
     return Likelihood(values, thetas, lattice, method, scan)
@@ -126,15 +120,13 @@ def stack_of(
     engine: str = "auto",
     threads: int = 1,
     memory_budget: int | None = None,
-    unwanted: Callable[[], bool] | None = None,
 ) -> Float32Array:
     """Compute a method's values (K, H, W) on the features' lattice at some headings.
 
     `thetas` (K,) are headings in radians, uniform over the circle from 0. `engine` computes the
     correlations: "auto", "filter2d", "shift", "dft" or "remap". The result does not depend on
     `threads`. A ConfigError is raised for a method without a stack, and if the ray distances of
-    ``beam`` take more bytes than `memory_budget`, by default that of the map. `unwanted` is that of
-    :func:`likelihood`.
+    ``beam`` take more bytes than `memory_budget`, by default that of the map.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
@@ -145,7 +137,6 @@ def stack_of(
         return beam(
             distances, scan.ranges, scan.angles, scan.valid, scan.no_return, thetas,
             sigma=cell / 2, sigma_theta=heading_sigma(len(thetas)), threads=threads,
-            unwanted=unwanted,
         )  # fmt: skip
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     if method == "cbml-o":

@@ -3,7 +3,7 @@
 A client that is waited for, be it for a head, for a body or until it takes an answer, has so many
 seconds. If there are too many connections, the one whose client has been waited for longest makes
 room; if there is none, the next ones wait to be accepted. Some more are accepted all the same:
-those that ask whether the service runs (:data:`PROBES`) are answered, the others are refused.
+those that ask whether the service runs are answered, the others are refused.
 """
 
 import asyncio
@@ -16,12 +16,12 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from imgloc.live.bounds import Bounds
 from imgloc.live.problems import MEDIA, Refused, problem_of
 
-PROBES = ("/healthz", "/readyz", "/metrics")
 FULL = "full"  #: in the state of a scope: the connection is one too many
 _ROOM = 8  # connections beyond the bound
-_FRESH = 0.05  # seconds that a client has at least until it has to make room
+_FRESH = 0.01  # seconds that a client has at least until it has to make room
 _LOOK = 0.25  # seconds between two looks at all connections
-_PAUSE = 0.01
+_PAUSE = 0.005
+_NEXT = 0.1  # seconds until the next request of a client that asks again before it has an answer
 
 
 class _Connection(H11Protocol):
@@ -55,7 +55,10 @@ class _Connection(H11Protocol):
 
     def on_response_complete(self) -> None:
         self.since, self.served = self.loop.time(), True
-        super().on_response_complete()
+        if self.conn.trailing_data[0]:  # who asks a hundred times at once has not all turns
+            self.loop.call_later(_NEXT, super().on_response_complete)
+        else:
+            super().on_response_complete()
 
     def pause_writing(self) -> None:
         super().pause_writing()

@@ -29,7 +29,6 @@ Send = Callable[[Message], Awaitable[None]]
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 _SHORTEST = 16  # characters of a token
 _PROTOCOL = "bearer."  # and the token as base64: browsers give a WebSocket no other header
-OPEN = ("/v1/", "/metrics")  #: what needs the token, if there is one
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -48,17 +47,10 @@ HEADERS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Access:
-    """Who may ask.
+    """Who may ask a service at `host`, which is also called by other `names`.
 
-    Parameters
-    ----------
-    host : str
-        Address that the service listens at. A ConfigError if it is not loopback and there is no
-        `token`.
-    token : str, optional
-        What requests must carry, at least 16 visible characters; else a ConfigError.
-    names : sequence of str
-        Hosts by which the service is called besides.
+    Requests must carry the `token`, if there is one. A ConfigError if it has less than 16 visible
+    characters, or if there is none and others than this machine reach the host.
 
     Examples
     --------
@@ -96,8 +88,8 @@ class Access:
             return name in known or _is_address(name)
         return name in known
 
-    def check(self, scope: Scope) -> None:
-        """Refuse a request from elsewhere, or without the token; `scope` is that of ASGI."""
+    def check(self, scope: Scope, *, guarded: bool) -> None:
+        """Refuse a request from elsewhere, or without the token if the route is `guarded`."""
         headers = headers_of(scope)
         hosts, origins = headers.get("host", []), headers.get("origin", [])
         if len(hosts) != 1 or not self.admits(hosts[0]):
@@ -107,7 +99,6 @@ class Access:
         if origins and [origin_host(origin) for origin in origins] != [hosts[0].lower()]:
             some = ", ".join(origins)[:100]
             raise Refused("forbidden", f"Origin: got {some}, expected that of this page")
-        guarded = scope["path"].startswith(OPEN)
         if guarded and headers.get("sec-fetch-site", ["none"])[0] in ("cross-site", "same-site"):
             raise Refused("forbidden", "Sec-Fetch-Site: a page of another site asks")
         if guarded and self.token is not None and not self._has_token(scope, headers):
@@ -168,16 +159,7 @@ def headers_of(scope: Scope) -> dict[str, list[str]]:
 
 
 class Bodies:
-    """The memory that the bodies of all requests take together.
-
-    >>> bodies = Bodies(10)
-    >>> bodies.take(8)
-    >>> bodies.take(8)
-    Traceback (most recent call last):
-        ...
-    imgloc.live.problems.Refused: the bodies of other requests fill the memory; come back in a \
-second
-    """
+    """The memory that the bodies of all requests take together."""
 
     def __init__(self, most: int) -> None:
         self.most, self.held = most, 0
@@ -196,8 +178,8 @@ def ending() -> Refused:
 
 
 async def read_body(
-    scope: Scope, receive: Receive, *, limit: int, seconds: float, stopping: asyncio.Event,
-    bodies: Bodies,
+    scope: Scope, receive: Receive, bodies: Bodies, stopping: asyncio.Event, *, limit: int,
+    seconds: float,
 ) -> bytes:  # fmt: skip
     """The body of a request, of at most `limit` bytes, if it comes within so many seconds.
 
@@ -207,7 +189,7 @@ async def read_body(
     said = int(headers_of(scope).get("content-length", ["0"])[0])
     if said > limit:
         raise Refused("too-large", f"{said:,} bytes, {expected}")
-    data, ended = bytearray(), False
+    data, size, ended = list[bytes](), 0, False
     stop = asyncio.ensure_future(stopping.wait())
     try:
         with anyio.fail_after(seconds):
@@ -221,18 +203,19 @@ async def read_body(
                 if message["type"] == "http.disconnect":
                     raise Gone
                 some = message.get("body", b"")
-                if len(data) + len(some) > limit:
+                size += len(some)
+                if size > limit:
                     raise Refused("too-large", expected)
                 bodies.take(len(some))
-                scope["body"] = scope.get("body", 0) + len(some)
-                data += some
+                scope["body"] = size
+                data.append(some)
                 ended = not message.get("more_body", False)
     except TimeoutError:
-        found = f"{len(data):,} bytes came in {seconds:g} s"
+        found = f"{size:,} bytes came in {seconds:g} s"
         raise Refused("too-slow", f"{found}, expected the whole body") from None
     finally:
         stop.cancel()
-    return bytes(data)
+    return await asyncio.to_thread(b"".join, data)  # a copy of what is large takes its time
 
 
 class Gone(Exception):  # noqa: N818 (nothing is wrong)

@@ -1,6 +1,7 @@
-"""What clients have sent and will ask about again: at most so many, the one not used longest goes.
+"""What clients have sent and will ask about again: at most so many.
 
-Each has an id that nobody can guess, so that it belongs to the client that sent it.
+Each has an id that nobody can guess, so that it belongs to the client that sent it. Of the client
+that has sent most, what was not used for longest makes room.
 
 >>> held = Held(2)
 >>> ids = [held.put(text)[0] for text in "ab"]
@@ -9,7 +10,7 @@ Each has an id that nobody can guess, so that it belongs to the client that sent
 """
 
 import secrets
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from threading import Lock
 from typing import Generic, TypeVar
@@ -17,7 +18,7 @@ from typing import Generic, TypeVar
 from imgloc.live.problems import Refused
 
 T = TypeVar("T")
-ID = "[0-9a-f]{32}"  #: what an id looks like
+ID_BYTES = 16  #: of an id
 
 
 class Held(Generic[T]):
@@ -27,32 +28,30 @@ class Held(Generic[T]):
     """
 
     def __init__(
-        self,
-        most: int,
-        weight: int | None = None,
-        what: str = "upload",
+        self, most: int, weight: int | None = None, what: str = "upload",
         used: Callable[[str], object] = lambda _: False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._most, self._weight, self._what, self._used = most, weight, what, used
-        self._things: OrderedDict[str, tuple[T, int]] = OrderedDict()
+        self._things: OrderedDict[str, tuple[T, int, str]] = OrderedDict()
         self._lock = Lock()
 
-    def put(self, thing: T, weight: int = 0) -> tuple[str, tuple[str, ...]]:
+    def put(self, thing: T, weight: int = 0, client: str = "") -> tuple[str, tuple[str, ...]]:
         """Hold a thing; return its id, and those that had to go. Refused if none of these may."""
         with self._lock:
             left = OrderedDict(self._things)
             while left and (len(left) >= self._most or self._heavy(weight, left)):
-                idle = next((id_ for id_ in left if not self._used(id_)), None)
-                if idle is None:
+                idle = {id_: held[2] for id_, held in left.items() if not self._used(id_)}
+                if not idle:
                     raise Refused("busy", f"each {self._what} that is held is in use", retry=5)
-                del left[idle]
+                counts = Counter([*(held[2] for held in left.values()), client])
+                del left[max(idle, key=lambda id_: counts[idle[id_]])]
             gone = tuple(self._things.keys() - left.keys())
-            self._things, id_ = left, secrets.token_hex(16)
-            self._things[id_] = thing, weight
+            self._things, id_ = left, secrets.token_hex(ID_BYTES)
+            self._things[id_] = thing, weight, client
         return id_, gone
 
-    def _heavy(self, weight: int, things: "OrderedDict[str, tuple[T, int]]") -> bool:
-        together = weight + sum(one for _, one in things.values())
+    def _heavy(self, weight: int, things: "OrderedDict[str, tuple[T, int, str]]") -> bool:
+        together = weight + sum(held[1] for held in things.values())
         return self._weight is not None and together > self._weight
 
     def get(self, id_: str, *, drop: bool = False) -> T:

@@ -1,84 +1,151 @@
 """Work off the event loop: so much at once, so much that waits, and the rest is refused."""
 
 import asyncio
+import ctypes
 import threading
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from imgloc.live.guard import Gone, Receive, ending
 from imgloc.live.problems import Refused
 
 T = TypeVar("T")
+_AGAIN = 1.0  # seconds until what still runs is stopped again
+
+
+class Unwanted(BaseException):
+    """Nobody waits for a piece of work any more: raised where it runs, between two steps of it."""
+
+
+class Piece:
+    """Work that can be stopped while it runs."""
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self._work, self._lock, self._thread, self._wanted = work, threading.Lock(), 0, True
+
+    def __call__(self) -> Any:
+        """Do it, in any thread."""
+        with self._lock:
+            if not self._wanted:
+                raise Unwanted
+            self._thread = threading.get_ident()
+        try:
+            try:
+                return self._work()
+            finally:
+                self._leave()
+        except Unwanted:  # perhaps while it left
+            self._leave()
+            raise
+
+    def _leave(self) -> None:
+        with self._lock:  # what is raised here must not come later, in the work of others
+            _raise(self._thread, None)
+            self._thread = 0
+
+    def stop(self) -> bool:
+        """Let it raise :class:`Unwanted` where it is, or where it begins; whether it still runs.
+
+        What is raised in a callback of the interpreter is lost: ask again a little later.
+        """
+        with self._lock:
+            self._wanted = False
+            if self._thread:
+                _raise(self._thread, Unwanted)
+            return bool(self._thread)
+
+
+def _raise(thread: int, what: type[BaseException] | None) -> None:
+    """Raise an exception in a thread, or none if it has not been raised there yet."""
+    error = None if what is None else ctypes.py_object(what)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), error)
+
+
+@dataclass
+class _Place:
+    client: str
+    here: asyncio.Future[Any]
+    pushed: bool = False  # out of the lane, by a client that has fewer places
 
 
 class Lane:
-    """A bounded queue in front of some work.
+    """A bounded queue in front of some work, of which no client has all places.
 
-    Parameters
-    ----------
-    waiting : int
-        How many may be under way, running or waiting; more are refused with a time to come back.
-    threads : int
-        Of the lane's own executor; 0: the work that comes is a future already.
+    So many pieces may be `waiting` besides those that run in its `threads`; with none, the work
+    that comes is a future already. Beyond it the client with most places gives one that waits to a
+    client with fewer; others are refused. A lane that `stops` stops what nobody waits for where it
+    runs, others before it runs.
     """
 
-    def __init__(self, waiting: int, threads: int = 0) -> None:
-        self._most, self.pending = waiting + max(threads, 1), 0
+    def __init__(self, waiting: int, threads: int = 0, *, stops: bool = False) -> None:
+        self._most, self._stops = waiting + max(threads, 1), stops
         self._pool = ThreadPoolExecutor(threads, "imgloc") if threads else None
-        self._stopped, self._waited = False, set[asyncio.Future[Any]]()
+        self._places, self._stopped = dict[Future[Any], _Place](), False
+
+    @property
+    def pending(self) -> int:
+        """Number of pieces that run or wait."""
+        return len(self._places)
 
     async def run(
-        self,
-        work: Callable[[], Any],
-        seconds: float,
-        receive: Receive | None = None,
-        unwanted: threading.Event | None = None,
-    ) -> Any:
-        """What the work returns, here a function or what starts it and gives its future.
+        self, work: Callable[[], Any], seconds: float, receive: Receive | None = None,
+        client: str = "",
+    ) -> Any:  # fmt: skip
+        """What the work returns: called in a thread of the lane, or without one here, for a future.
 
-        Parameters
-        ----------
-        work : callable
-            Called in a thread of the lane; in one without threads here, for a future.
-        seconds : float
-            After which it is refused as out of time. What runs by then runs to its end, and keeps
-            its place until then.
-        receive : callable, optional
-            Of the request: if its client goes, what still waits is taken back.
-        unwanted : Event, optional
-            Set once nobody waits for the result any more.
+        It is refused after so many `seconds`, and taken back if the client of `receive` goes.
         """
         if self._stopped:
             raise ending()
-        if self.pending >= self._most:
-            found = f"{self.pending} requests are under way"
-            raise Refused("busy", f"{found}; come back in a second", retry=1)
-        future: Future[Any] = self._pool.submit(work) if self._pool else work()
-        self.pending += 1
-        loop = asyncio.get_running_loop()
+        self._make_place(client)
+        piece = Piece(work)
+        future: Future[Any] = self._pool.submit(piece) if self._pool else work()
+        here, loop = asyncio.wrap_future(future), asyncio.get_running_loop()
+        place = self._places[future] = _Place(client, here)
 
         def done(_: Any) -> None:
             if not loop.is_closed():
-                loop.call_soon_threadsafe(self._leave)
+                loop.call_soon_threadsafe(self._places.pop, future, None)
 
         future.add_done_callback(done)
-        here = asyncio.wrap_future(future)
-        self._waited.add(here)
         try:
             return await waited(here, seconds, receive)
+        except Refused:
+            if place.pushed:
+                raise self._busy() from None
+            raise
         finally:
-            self._waited.discard(here)
-            if unwanted is not None:
-                unwanted.set()
+            if self._stops:
+                self._stop(piece)
 
-    def _leave(self) -> None:
-        self.pending -= 1
+    def _stop(self, piece: Piece) -> None:
+        if piece.stop():
+            asyncio.get_running_loop().call_later(_AGAIN, self._stop, piece)
+
+    def _busy(self) -> Refused:
+        found = f"{self.pending} requests are under way"
+        return Refused("busy", f"{found}; come back in a second", retry=1)
+
+    def _make_place(self, client: str) -> None:
+        """Refuse a client if the lane is full and no other has more places."""
+        if self.pending < self._most:
+            return
+        counts = Counter(place.client for place in self._places.values())
+        (most, count), *_ = counts.most_common(1)
+        for future, place in reversed(list(self._places.items())):
+            if place.client == most and count > counts[client] + 1 and future.cancel():
+                place.pushed = True
+                self._places.pop(future, None)
+                return
+        raise self._busy()
 
     def give_up(self) -> None:
         """Refuse also what runs."""
-        for one in tuple(self._waited):
-            one.cancel()
+        for place in tuple(self._places.values()):
+            place.here.cancel()
 
     def stop(self) -> None:
         """Refuse what comes, and what waits."""

@@ -9,30 +9,29 @@ from imgloc import options as opt
 from imgloc.__about__ import __version__
 from imgloc.io.scanset import MAX_RAYS
 from imgloc.live import parameters
-from imgloc.live.held import ID
+from imgloc.live.held import ID_BYTES
 from imgloc.live.parameters import PLACE, TURN, Flag, Number, Numbers, Parameter, Text, Word
 from imgloc.live.problems import KINDS, MEDIA
-from imgloc.live.requests import NAME, NAME_WORDS
+from imgloc.live.requests import NAME
 from imgloc.model import MOUNTED
 
 STACKS = tuple(opt.METHODS)
 LAYERS = ("bmap", "distance", "vmap")
-_FILE = r"[^\x00-\x1f/\\]{1,200}"
 _LIST = r"(\d{1,9}|\d{0,9}:\d{0,9}(:0{0,9}[1-9]\d{0,8})?)"
 _INDEX_WORDS = "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between"
 _X_Y_YAW = Numbers(3, (PLACE, PLACE, TURN))
-_HELD_ID = Text(ID, 32, "an id")
+ID = Text(f"[0-9a-f]{{{2 * ID_BYTES}}}", 2 * ID_BYTES, "an id")
 
 MAP = Parameter(
     "map",
     "Name of a map of the service, or id of one that was sent. Without it: the service's only map.",
-    Text(NAME, 100, NAME_WORDS),
+    NAME,
 )
-_SCANS_ID = Parameter("scans", "Scans that were sent before, instead of a body.", _HELD_ID)
+_SCANS_ID = Parameter("scans", "Scans that were sent before, instead of a body.", ID)
 _FILE_NAME = Parameter(
     "name",
     "Name of the file of scans. Its ending sets the format; without it the content decides.",
-    Text(_FILE, 200, "a file name"),
+    Text(r"[^\x00-\x1f/\\]+", 200, "a file name"),
 )
 _CHOSEN = Parameter(
     "index",
@@ -40,7 +39,7 @@ _CHOSEN = Parameter(
     Text(f"{_LIST}(,{_LIST}){{0,99}}", 2000, _INDEX_WORDS),
 )
 _TOPIC = Parameter(
-    "topic", "Laser to read from a log that has several.", Text(r"[!-~]{1,200}", 200, "a name")
+    "topic", "Laser to read from a log that has several.", Text(r"[!-~]+", 200, "a name")
 )
 _SCALE = Parameter.of(opt.Logs, "scale", "range_scale", default=1.0)
 _SENSOR = Parameter(
@@ -85,7 +84,7 @@ FIT = (
     Parameter.of(opt.Drawn, "bent", about="Metres that pieces of wall stand off: evidence.bent."),
 )  # fmt: skip
 UPLOAD = (
-    Parameter("name", "What the map is called; its id is another.", Text(NAME, 100, NAME_WORDS)),
+    Parameter("name", "What the map is called; its id is another.", NAME),
     Parameter("origin", "Pose of the lower-left corner: x, y, yaw.", _X_Y_YAW),
     *(Parameter.of(opt.Reading, key) for key in
       ("resolution", "mode", "occupied_thresh", "free_thresh", "negate")),
@@ -97,7 +96,7 @@ PAGE = (
     Parameter("count", "Scans of the page.", Number(1, 200, "scans", whole=True), 20),
     *TAKEN,
 )
-_HELD = Parameter("scans", "Scans that were sent before.", _HELD_ID, needed=True)
+_HELD = Parameter("scans", "Scans that were sent before.", ID, needed=True)
 LIKELIHOOD = (
     MAP, _HELD, _CHOSEN, *TAKEN,
     Parameter("method", "Method of the likelihood.", Word(STACKS), "cbml"),
@@ -114,7 +113,7 @@ VISIBILITY = (
     MAP,
     Parameter("at", "x, y, map frame, metres.", Numbers(2, (PLACE, PLACE)), needed=True),
 )
-TRACK = (
+_TRACK = (
     MAP, *TAKEN,
     Parameter.of(opt.Followed, "filter", default="tracker"),
     Parameter.of(opt.Followed, "seed", default=0),
@@ -139,41 +138,31 @@ def _object(needed: str, **properties: Any) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "required": needed.split()}
 
 
+def _rays(items: Any) -> dict[str, Any]:
+    return {"type": "array", "items": items, "minItems": 1, "maxItems": MAX_RAYS}
+
+
 _SCHEMAS: Mapping[str, Any] = {
     "Problem": _object(
-        "type title status detail",
+        "type title status detail", title=_WORD, status=_WHOLE, detail=_WORD,
         type={"type": "string", "enum": [f"urn:imgloc:problem:{kind}" for kind in KINDS]},
-        title=_WORD, status=_WHOLE, detail=_WORD,
     ),
     "Pose": _object("x y theta", x=_NUMBER, y=_NUMBER, theta=_NUMBER),
-    "LaserScan": {
-        "type": "object",
+    "LaserScan": _object(
+        "ranges",
+        ranges=_rays({"anyOf": [_NUMBER, {"type": "null"}, {"enum": ["inf", "-inf", "nan"]}]}),
+        angles={**_rays(_TURNED), "type": ["array", "null"]},
+        angle_min=_OR_NULL, angle_max=_OR_NULL, angle_increment=_OR_NULL,
+        range_min={**_NULL_NUMBER, "minimum": 0},
+        range_max={**_NULL_NUMBER, "exclusiveMinimum": 0}, time_increment=_NULL_NUMBER,
+        stamp={
+            "description": "Seconds, or the stamp of a ROS message.",
+            "anyOf": [_NULL_NUMBER, _object("", sec=_NUMBER, nanosec=_NUMBER)],
+        },
+        odom=_GIVEN_POSE, pose=_GIVEN_POSE, mount=_GIVEN_POSE,
+    ) | {
         "description": "Names of sensor_msgs/LaserScan; metres and radians, counter-clockwise, 0 "
         "forward. In ranges null is no reading, 'inf' no return. Other keys may be null: missing.",
-        "properties": {
-            "ranges": {
-                "type": "array",
-                "minItems": 1,
-                "maxItems": MAX_RAYS,
-                "items": {"anyOf": [_NUMBER, {"type": "null"}, {"enum": ["inf", "-inf", "nan"]}]},
-            },
-            "angles": {
-                "type": ["array", "null"], "items": _TURNED, "minItems": 1, "maxItems": MAX_RAYS,
-            },
-            "angle_min": _OR_NULL, "angle_max": _OR_NULL, "angle_increment": _OR_NULL,
-            "range_min": {"type": ["number", "null"], "minimum": 0},
-            "range_max": {"type": ["number", "null"], "exclusiveMinimum": 0},
-            "time_increment": _NULL_NUMBER,
-            "stamp": {
-                "description": "Seconds, or the stamp of a ROS message.",
-                "anyOf": [
-                    _NULL_NUMBER,
-                    {"type": "object", "properties": {"sec": _NUMBER, "nanosec": _NUMBER}},
-                ],
-            },
-            "odom": _GIVEN_POSE, "pose": _GIVEN_POSE, "mount": _GIVEN_POSE,
-        },
-        "required": ["ranges"],
     },
     "Map": _object(
         "id name width height resolution origin uploaded version",
@@ -182,71 +171,45 @@ _SCHEMAS: Mapping[str, Any] = {
         warnings=_WARNINGS,
     ),
     "Scans": _object(
-        "id name scans readings poses odom stamps warnings",
-        id=_WORD, name=_WORD, scans=_WHOLE, readings=_WHOLE, poses=_YES, odom=_YES, stamps=_YES,
-        warnings=_WARNINGS,
+        "id name scans readings poses odom stamps warnings", id=_WORD, name=_WORD, scans=_WHOLE,
+        readings=_WHOLE, poses=_YES, odom=_YES, stamps=_YES, warnings=_WARNINGS,
     ),
-    "Marks": {
-        **_object(
-            "poses",
-            poses={
-                "type": "array",
-                "description": "Index of a scan, and the pose of its sensor: x, y, theta.",
-                "minItems": 1,
-                "items": {
-                    "type": "array",
-                    "prefixItems": [_INDEX, *(_METRES,) * 3],
-                    "items": False, "minItems": 4, "maxItems": 4,
-                },
-            },
-        ),
-        "additionalProperties": False,
-    },
+    "Marks": {**_object("poses", poses={
+        "type": "array", "minItems": 1,
+        "description": "Index of a scan, and the pose of its sensor: x, y, theta.",
+        "items": {"type": "array", "prefixItems": [_INDEX, *(_METRES,) * 3], "items": False,
+                  "minItems": 4, "maxItems": 4},
+    }), "additionalProperties": False},
     "Answer": _object(
         "index verdict pose hypotheses counts parameters",
         index=_WHOLE, verdict={"enum": ["unique", "ambiguous", "no-match", "invalid"]},
         pose={"oneOf": [_AT, {"type": "null"}]}, hypotheses=_SOME, elsewhere=_NUMBER,
-        entropy=_NULL_NUMBER, explained=_NULL_NUMBER,
-        protection={
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "share": _NUMBER, "metres": _NULL_NUMBER, "radians": _NULL_NUMBER,
-                },
-            },
-        },
-        counts=_ANY, timings_ms=_ANY, parameters=_ANY, warnings=_WARNINGS,
+        entropy=_NULL_NUMBER, explained=_NULL_NUMBER, counts=_ANY, timings_ms=_ANY,
+        parameters=_ANY, warnings=_WARNINGS, protection={"type": "array", "items": _object(
+            "", share=_NUMBER, metres=_NULL_NUMBER, radians=_NULL_NUMBER)},
     ),
-    "Choice": _object(
-        "index verdict none maps", index=_WHOLE, verdict=_WORD, none=_NULL_NUMBER, maps=_SOME,
-        warnings=_WARNINGS,
-    ),
+    "Choice": _object("index verdict none maps", index=_WHOLE, verdict=_WORD, none=_NULL_NUMBER,
+                      maps=_SOME, warnings=_WARNINGS),
     "Fit": _object(
-        "pose log_likelihood misfit explained counts rays",
-        pose=_AT, log_likelihood=_NULL_NUMBER, per_reading=_NULL_NUMBER, best=_NUMBER,
-        misfit=_NULL_NUMBER, explained=_NULL_NUMBER, stands=_YES, readings=_WHOLE, counts=_ANY,
-        rays=_ANY, warnings=_WARNINGS,
+        "pose log_likelihood misfit explained counts rays", pose=_AT, log_likelihood=_NULL_NUMBER,
+        per_reading=_NULL_NUMBER, best=_NUMBER, misfit=_NULL_NUMBER, explained=_NULL_NUMBER,
+        stands=_YES, readings=_WHOLE, counts=_ANY, rays=_ANY, warnings=_WARNINGS,
     ),
 }  # fmt: skip
 
 _BINARY = {"type": "string", "format": "binary"}
 _BYTES: dict[str, Any] = {"application/octet-stream": {"schema": _BINARY}}
-_MAP_BODY: Mapping[str, Any] = {
-    "multipart/form-data": {
-        "schema": {
-            "type": "object",
-            "properties": {"image": _BINARY, "yaml": _BINARY},
-            "required": ["image"],
-            "additionalProperties": False,
-        }
-    },
-    **_BYTES,
-}
+_FORM = _object("image", image=_BINARY, yaml=_BINARY) | {"additionalProperties": False}
+_MAP_BODY: Mapping[str, Any] = {"multipart/form-data": {"schema": _FORM}, **_BYTES}
 
 
 def _ref(name: str) -> dict[str, Any]:
     return {"application/json": {"schema": {"$ref": f"#/components/schemas/{name}"}}}
+
+
+#: Who may ask: all, those who have the token (all, if there is none), or who has the id as well.
+ALL, TOKEN, OWNER = "all", "token", "owner"
+PROBES = "probes"  #: the lane of those that are answered also where there is no room for others
 
 
 @dataclass(frozen=True)
@@ -256,22 +219,25 @@ class Operation:
     method: str
     path: str
     run: str  #: what answers it: a method of the service, without its underscore
-    lane: str  #: where it is computed, in the time of an answer; empty: at once, from what is there
+    lane: str  #: where it is computed; empty: at once, from what is there; PROBES: in any case
     about: str
     answer: str  #: in words
     content: Mapping[str, Any]  #: of the answer
     parameters: Sequence[Parameter] = ()
-    #: its body: media types; one that is needed is in the time and within the limit of all bodies
-    body: Mapping[str, Any] = field(default_factory=dict)
+    body: Mapping[str, Any] = field(default_factory=dict)  #: media types
     problems: Sequence[int] = ()  #: besides those that follow from the rest
     status: int = 200
     needs_body: bool = False
+    who: str = TOKEN  #: may ask
+    limit: str = "max_body"  #: of what is sent, a field of :class:`Bounds`
+    time: str = "seconds"  #: of an answer, another one
 
     def document(self) -> dict[str, Any]:
         """The operation object of OpenAPI."""
         parameters = [_path_of(name) for name in ("name", "id") if f"{{{name}}}" in self.path]
         common = {400, 401, 403, 405, *self.problems, *((404,) if "{" in self.path else ())}
-        for there, some in ((self.parameters, (404, 422)), (self.lane, (503, 504)),
+        computed = self.lane not in ("", PROBES)
+        for there, some in ((self.parameters, (404, 422)), (computed, (503, 504)),
                             (self.body, (408, 413, 415, 503))):  # fmt: skip
             common |= set(some) if there else set()
         ok = {"description": self.answer, **({"content": self.content} if self.content else {})}
@@ -294,13 +260,18 @@ _LINES: dict[str, Any] = {"application/x-ndjson": {"schema": {"type": "string"}}
 _SCAN_BODY: Mapping[str, Any] = _ref("LaserScan") | _BYTES
 _ROWS = "A JSON object; of several scans, one a line."
 _SENT: dict[str, Any] = {"status": 201, "needs_body": True}
-#: The table of routes. Without a lane nothing is computed; "files" reads what is large, "looks"
-#: answers what is small, "layers" draws, and "answers" is the core's own thread.
+TRACK = Operation(
+    "websocket", "/v1/track", "track", "looks", "Follow a robot: a line in, a line out.", "", {},
+    _TRACK, limit="message", time="silence",
+)  # fmt: skip
+#: The table of routes, but for the files of the page. "files" reads what is large, "looks" answers
+#: what is small, "layers" draws, and "answers" is the core's own thread.
 OPERATIONS = (
-    Operation("get", "/healthz", "health", "", "Whether the service runs.", "It runs.", _OBJECT),
-    Operation("get", "/readyz", "ready", "", "Whether all maps are prepared.",
-              "All maps are prepared.", _OBJECT, problems=(503,)),
-    Operation("get", "/metrics", "metrics_text", "", "Counts and times.", "Prometheus' text.",
+    Operation("get", "/healthz", "health", PROBES, "Whether the service runs.", "It runs.", _OBJECT,
+              who=ALL),
+    Operation("get", "/readyz", "ready", PROBES, "Whether all maps are prepared.",
+              "All maps are prepared.", _OBJECT, problems=(503,), who=ALL),
+    Operation("get", "/metrics", "metrics_text", PROBES, "Counts and times.", "Prometheus' text.",
               {"text/plain": {}}),
     Operation("get", "/v1/openapi.json", "document", "", "This document.", "OpenAPI 3.1.", _OBJECT),
     Operation("get", "/v1/maps", "list", "looks", "The maps of the service.", "Their list.",
@@ -311,19 +282,19 @@ OPERATIONS = (
     Operation("get", "/v1/maps/{name}", "map", "looks", "A map, by its name or id.", "The map.",
               _ref("Map")),
     Operation("delete", "/v1/maps/{name}", "drop_map", "", "Forget a map that was sent.",
-              "It is gone.", {}, problems=(409, 503), status=204),
+              "It is gone.", {}, problems=(409, 503), status=204, who=OWNER),
     Operation("get", "/v1/maps/{name}/image", "image", "looks",
               "A map as an image: occupied 0, unknown 205, free 254.", "PNG.", _PNG),
     Operation("post", "/v1/scans", "send_scans", "files",
               "Send a file of scans, to ask about them again and again. Its id is a secret.",
               "What is in it.", _ref("Scans"), (*_READ, _SCALE), _SCAN_BODY, **_SENT),
     Operation("get", "/v1/scans/{id}", "some_scans", "looks",
-              "Scans that were sent, some at a time.", "Them.", _ref("Scans"), PAGE),
+              "Scans that were sent, some at a time.", "Them.", _ref("Scans"), PAGE, who=OWNER),
     Operation("delete", "/v1/scans/{id}", "drop_scans", "", "Forget scans that were sent.",
-              "They are gone.", {}, status=204),
+              "They are gone.", {}, status=204, who=OWNER),
     Operation("post", "/v1/scans/{id}/marked", "marked", "files",
               "Some of these scans with poses that are known now, as `imgloc.save_scans` writes "
-              "them.", "NPZ.", _BYTES, (), _ref("Marks"), problems=(422,), needs_body=True),
+              "them.", "NPZ.", _BYTES, (), _ref("Marks"), (422,), needs_body=True, who=OWNER),
     Operation("post", "/v1/localize", "localize", "answers",
               "Where scans are on a map: the JSON of `imgloc localize`, with map and version.",
               _ROWS, _ref("Answer") | _LINES, LOCALIZE, _SCAN_BODY),
@@ -365,7 +336,7 @@ def _parameter(one: Parameter) -> dict[str, Any]:
 
 
 def _path_of(name: str) -> dict[str, Any]:
-    schema = {"type": "string", "pattern": f"^(?:{NAME if name == 'name' else ID})$"}
+    schema = (NAME if name == "name" else ID).schema
     return {"name": name, "in": "path", "required": True, "schema": schema}
 
 

@@ -10,7 +10,7 @@ import json
 import logging
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -26,18 +26,23 @@ from imgloc.io.maps import map_of_bytes
 from imgloc.io.mapyaml import MAX_YAML_BYTES, parse_map_yaml
 from imgloc.io.own import parse_json
 from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
-from imgloc.io.scanset import ScanSet
+from imgloc.io.scanset import MAX_RAYS, ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 from imgloc.live.bounds import MIB, Bounds
+from imgloc.live.parameters import Text
 from imgloc.live.problems import Refused
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Reading
 
 JSON, FORM = "application/json", "multipart/form-data"
 _ENDINGS = (*SCAN_ENDINGS, ".yaml", ".yml")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}", re.ASCII)
-NAME = _NAME.pattern  #: what a map may be called
+#: What a map may be called.
+NAME = Text(
+    r"[A-Za-z0-9][A-Za-z0-9._ -]*", 100,
+    "letters, digits, dots, spaces, _ and -, at most 100, a letter or digit first",
+)  # fmt: skip
 _PARTS = 8  # of a form
+_PIECE = 1 << 16  # characters that are counted in one go
 # What the parser logs of a form that is damaged, the refusal tells the client.
 logging.getLogger("python_multipart").addHandler(logging.NullHandler())
 
@@ -116,31 +121,13 @@ def shown(name: str) -> str:
 
 
 def scans_of(
-    body: bytes,
-    content_type: str,
-    name: str,
-    bounds: Bounds,
-    *,
-    budget: int | None = None,
-    topic: str | None = None,
-    fov: float | None = None,
-) -> Sent:
+    body: bytes, content_type: str, name: str, bounds: Bounds, *, budget: int | None = None,
+    topic: str | None = None, fov: float | None = None,
+) -> Sent:  # fmt: skip
     """The scans of a body: a LaserScan as JSON, or any file of scans, also as a part of a form.
 
-    Parameters
-    ----------
-    body, content_type : bytes, str
-    name : str
-        Of the file: its ending tells the format; without one the content does.
-    bounds : Bounds
-    budget : int, optional
-        Bytes of memory that this may take.
-    topic, fov : str, float, optional
-        As of :func:`imgloc.load_scans`.
-
-    Raises
-    ------
-    ScanError, Refused
+    The ending of its `name` sets the format; without one the content does. Reading takes at most
+    `budget` bytes of memory. `topic` and `fov` (radians) are those of :func:`imgloc.load_scans`.
     """
     if not body:
         raise ScanError("the body is empty, expected a scan or a file of scans")
@@ -208,6 +195,14 @@ def marked_of(body: bytes, scans: ScanSet) -> ScanSet:
     return replace(scans.take(indices), poses=np.array([row[1:] for row in rows]))
 
 
+def read_line(text: str, where: str) -> ScanSet:
+    """The scan of a line of JSON, which no thread can interrupt: a long one is refused before."""
+    commas = sum(text.count(",", k, k + _PIECE) for k in range(0, len(text), _PIECE))
+    if commas > (most := 4 * MAX_RAYS):  # ranges, angles, intensities, and the rest
+        raise Refused("too-large", f"{where}: {commas:,} values, expected at most {most:,}")
+    return read_jsonl_line(text, where)
+
+
 _STEPS, _TURNS = ("angle_min", "angle_max", "angle_increment"), 4 * math.pi  # radians
 
 
@@ -219,7 +214,7 @@ def _scan_of(body: bytes) -> ScanSet:
         text = body.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ScanError(f"body: byte {error.start} is not UTF-8 text") from None
-    scan = read_jsonl_line(text, "body")
+    scan = read_line(text, "body")
     given = json.loads(text)
     for key in (*_STEPS, "range_min", "range_max"):  # also where the angles make a step needless
         value, most = given.get(key), math.inf if key[0] == "r" else _TURNS
@@ -252,22 +247,22 @@ def map_of(
 
     The YAML's `image:` is a name: nothing is opened by it. It must be that of the image.
     """
-    image, yaml, file = body, None, name
+    image, yaml, files = body, None, [name]
     if kind_of(content_type) == FORM:
         parts = {part.name: part for part in parts_of(body, content_type)}
         if "image" not in parts or parts.keys() - {"image", "yaml"}:
             some = ", ".join(sorted(repr(shown(key)) for key in parts)) or "none"
             raise Refused("bad-request", f"the form has the parts {some}, expected image and yaml")
-        image, file = parts["image"].data, parts["image"].file
+        image, files = parts["image"].data, [parts["image"].file]
         if "yaml" in parts:
             yaml = parts["yaml"].data
-            _check_yaml(yaml, parts["yaml"].file, file)
-            name = name or _stem(parts["yaml"].file)
+            _check_yaml(yaml, parts["yaml"].file, files[0])
+            files.insert(0, parts["yaml"].file)
     if not image:
         raise MapError("the image is empty, expected that of a map")
-    name = name or _stem(file) or "map"
-    if not _NAME.fullmatch(name):
-        raise MapError(f"name: got {shown(name)!r}, expected {NAME_WORDS}")
+    name = name or _called(files)
+    if NAME.read(name) is None:
+        raise MapError(f"name: got {shown(name)!r}, expected {NAME}")
     reading: Reading = {
         "resolution": how.get("resolution"), "origin": how.get("origin"), "mode": how.get("mode"),
         "semantics": how.get("semantics") or "nav2", "negate": how.get("negate"),
@@ -278,11 +273,15 @@ def map_of(
     return name, map_of_bytes(image, yaml, name, allow_lossy=lossy, **reading)
 
 
-NAME_WORDS = "letters, digits, dots, spaces, _ and -, at most 100, a letter or digit first"
+def _called(files: Sequence[str]) -> str:
+    r"""What a map of some files is called: as its file; one that is called map as its folder.
 
-
-def _stem(file: str) -> str:
-    return "" if not file else PurePosixPath(shown(file)).stem
+    >>> _called(["map.yaml", "hall.png"]), _called(["c:\\lab\\map.yaml", "map.png"]), _called([""])
+    ('hall', 'lab', 'map')
+    """
+    parts = [re.split(r"[/\\]", file)[-2:] for file in files]
+    names = [name for *folder, file in parts for name in (PurePosixPath(file).stem, *folder)]
+    return next((name for name in names if name not in ("", "map")), "map")
 
 
 def _check_yaml(yaml: bytes, file: str, image: str) -> None:

@@ -16,13 +16,13 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from imgloc.errors import ScanError
 from imgloc.filters.follow import Moment, Tracking
-from imgloc.io.textscans import read_jsonl_line
 from imgloc.live.bounds import Bounds
 from imgloc.live.lanes import Lane, waited
 from imgloc.live.line import Dropped
 from imgloc.live.localizer import Localizer
+from imgloc.live.openapi import TRACK
 from imgloc.live.problems import Refused
-from imgloc.live.requests import taken
+from imgloc.live.requests import read_line, taken
 from imgloc.live.sites import Site
 from imgloc.model import LaserScan, Pose2D, to_json
 from imgloc.output.rows import moment_row
@@ -99,7 +99,11 @@ class Robots:
                 else:
                     row = await self._lane.run(partial(_row, moment, origin), seconds)
                     self._count("track", moment.belief.verdict, begin)
-                await socket.send_text(row)
+                try:
+                    with anyio.fail_after(self._bounds.patience):
+                        await socket.send_text(row)
+                except TimeoutError:
+                    raise Refused("too-slow", f"{where}: its answer is not read") from None
                 count += 1
         except WebSocketDisconnect:
             pass
@@ -128,7 +132,7 @@ class Robots:
         loop = asyncio.get_running_loop()
         while True:
             try:
-                with anyio.fail_after(self._bounds.silence) as session.until:
+                with anyio.fail_after(getattr(self._bounds, TRACK.time)) as session.until:
                     message = await socket.receive()
             except TimeoutError:
                 quiet = f"no line for {loop.time() - session.heard:.0f} s"
@@ -145,5 +149,5 @@ def _row(moment: Moment, origin: Pose2D | None) -> str:
 
 def _read(line: str, where: str, how: Mapping[str, Any]) -> tuple[LaserScan, Any]:
     """A line of a log, as a robot sends it: its scan, and its odometry (3,), if any."""
-    one = read_jsonl_line(line, where)
+    one = read_line(line, where)
     return taken(one[0], how), None if one.odom is None else one.odom[0]

@@ -5,6 +5,7 @@ SIGTERM and Ctrl-C end what runs, and refuse the rest; after five seconds nothin
 
 import asyncio
 import contextlib
+import gc
 import logging
 import math
 import os
@@ -22,6 +23,7 @@ import uvicorn
 
 from imgloc.errors import ConfigError
 from imgloc.live.connections import Gate
+from imgloc.live.openapi import TRACK
 from imgloc.live.service import Service
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -59,6 +61,9 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets=[])
         gate, (one,) = Gate(self, self.service.bounds), sockets or [socket.socket()]
+        if sys.platform == "linux":  # who says nothing yet is kept by the system: no descriptor
+            patience = math.ceil(self.service.bounds.patience)
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, patience)
         one.listen(self.config.backlog)
         one.setblocking(False)
         self._gate = [asyncio.ensure_future(gate.accept(one)), asyncio.ensure_future(gate.watch())]
@@ -167,7 +172,7 @@ def serve(service: Service, one: socket.socket, ready: Callable[[], object]) -> 
     config = uvicorn.Config(
         service, http="h11", ws="websockets-sansio", loop="asyncio",
         lifespan="off", log_config=None, log_level="critical", access_log=False,
-        server_header=False, proxy_headers=False, ws_max_size=bounds.message,
+        server_header=False, proxy_headers=False, ws_max_size=getattr(bounds, TRACK.limit),
         ws_per_message_deflate=False, timeout_keep_alive=math.ceil(bounds.patience), backlog=4096,
         h11_max_incomplete_event_size=1 << 16, timeout_graceful_shutdown=_SENT,
     )  # fmt: skip
@@ -182,6 +187,7 @@ def serve(service: Service, one: socket.socket, ready: Callable[[], object]) -> 
             await asyncio.sleep(0.01)
         try:
             await asyncio.to_thread(ready)
+            gc.freeze()  # the collector holds all threads up, 40 ms for what stays anyway
         except BaseException as error:
             failed.append(error)
             server.should_exit = True

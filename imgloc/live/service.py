@@ -10,7 +10,6 @@ import contextlib
 import json
 import logging
 import math
-import threading
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -26,6 +25,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, Router, WebSocketRoute
+from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketState
 
 from imgloc.answers.diagnose import Given, doubts, is_doubtful
@@ -41,19 +41,8 @@ from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.live import layers, openapi
 from imgloc.live.bounds import Bounds
-from imgloc.live.connections import FULL, PROBES
-from imgloc.live.guard import (
-    HEADERS,
-    Access,
-    Bodies,
-    Gone,
-    Message,
-    Receive,
-    Scope,
-    Send,
-    ending,
-    read_body,
-)
+from imgloc.live.connections import FULL
+from imgloc.live.guard import HEADERS, Access, Bodies, Gone, ending, read_body
 from imgloc.live.held import Held
 from imgloc.live.lanes import Lane
 from imgloc.live.localizer import Localizer
@@ -78,6 +67,8 @@ _DRAIN = 1.0  # seconds in which what a client still sends of a refused body is 
 _LOOKS = 4  # threads for what is small
 _SMALL = 1 << 16  # bytes of JSON up to which a body is small
 _EACH = 100  # numbers whose memory a scan takes besides its own
+_OPEN = {one.path for one in OPERATIONS if one.who == openapi.ALL}
+_PROBES = {one.path for one in OPERATIONS if one.lane == openapi.PROBES}
 Values = Mapping[str, Any]
 
 
@@ -123,14 +114,17 @@ class Ask:
     values: Values
     route: Operation
     lanes: Mapping[str, Lane]
-    seconds: float
+    bounds: Bounds
 
-    async def run(
-        self, work: Callable[[], Any], lane: str = "", unwanted: threading.Event | None = None
-    ) -> Any:
+    async def run(self, work: Callable[[], Any], lane: str = "") -> Any:
         """What some work returns, by default in the lane of the route."""
-        there = self.lanes[lane or self.route.lane]
-        return await there.run(work, self.seconds, self.request.receive, unwanted)
+        there, seconds = self.lanes[lane or self.route.lane], getattr(self.bounds, self.route.time)
+        return await there.run(work, seconds, self.request.receive, self.client)
+
+    @property
+    def client(self) -> str:
+        """Who asks: its address."""
+        return (self.request.scope.get("client") or ("",))[0]
 
     @property
     def id(self) -> str:
@@ -147,30 +141,19 @@ Endpoint = Callable[[Ask], Awaitable[Response]]
 
 
 class Service:
-    """An ASGI application around a core.
-
-    Parameters
-    ----------
-    core : Localizer
-        Its maps; clients may send more, each for itself.
-    access : Access
-    bounds : Bounds
-    given : Begun
-    """
+    """An ASGI application around a core and its maps; clients may send more, each for itself."""
 
     def __init__(
-        self,
-        core: Localizer,
-        access: Access | None = None,
-        bounds: Bounds | None = None,
+        self, core: Localizer, access: Access | None = None, bounds: Bounds | None = None,
         given: Begun | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.core, self.access = core, access or Access()
         self.bounds, self.given = bounds or Bounds(), given or Begun()
         self.metrics, self.page = Metrics(), page_files()
         self.stopping = asyncio.Event()
         threads = {"files": 1, "answers": 0, "looks": _LOOKS, "layers": 1}
-        self.lanes = {name: Lane(self.bounds.waiting, count) for name, count in threads.items()}
+        self.lanes = {name: Lane(self.bounds.waiting, count, stops=name == "layers")
+                      for name, count in threads.items()}  # fmt: skip
         self.robots = Robots(core, self.bounds, self.lanes["looks"], self._count)
         budget = core.options.memory_budget or 1 << 30
         self._part = budget // 4  # of the memory: for maps that are held twice as much
@@ -195,8 +178,9 @@ class Service:
             await self._http(scope, receive, send)
 
     async def _enter(self, scope: Scope, receive: Receive, send: Send) -> None:
-        self.access.check(scope)
-        if scope["path"] not in PROBES:
+        path = scope["path"]
+        self.access.check(scope, guarded=path not in self.page and path not in _OPEN)
+        if path not in _PROBES:
             if scope.get("state", {}).get(FULL):
                 raise Refused("busy", "too many connections", retry=1)
             if self.stopping.is_set():
@@ -293,13 +277,13 @@ class Service:
     def _routes(self) -> list[Route | WebSocketRoute]:
         by_path: dict[str, dict[str, tuple[Operation, Endpoint]]] = {}
         for path in self.page:
-            at = Operation("get", path, "static", "", "", "", {})
+            at = Operation("get", path, "static", "", "", "", {}, who=openapi.ALL)
             by_path[path] = {"get": (at, self._static)}
         for one in OPERATIONS:
             by_path.setdefault(one.path, {})[one.method] = one, getattr(self, f"_{one.run}")
         routes = [Route(path, self._endpoint(by), methods=[m.upper() for m in by])
                   for path, by in by_path.items()]  # fmt: skip
-        return [WebSocketRoute("/v1/track", self._track), *routes]
+        return [WebSocketRoute(openapi.TRACK.path, self._track), *routes]
 
     def _endpoint(
         self, by_method: Mapping[str, tuple[Operation, Endpoint]]
@@ -311,7 +295,7 @@ class Service:
             route, does = by_method[method]
             given = read_query(request.scope["query_string"], route.parameters)
             values = with_defaults(given, route.parameters)
-            return await does(Ask(request, values, route, self.lanes, self.bounds.seconds))
+            return await does(Ask(request, values, route, self.lanes, self.bounds))
 
         return run
 
@@ -320,11 +304,11 @@ class Service:
     async def _health(self, _: Ask) -> Response:
         return JSONResponse({"status": "ok"})
 
-    async def _ready(self, _: Ask) -> Response:
+    async def _ready(self, ask: Ask) -> Response:
         if self.stopping.is_set():
             raise ending()
         self._check_prepared()
-        return JSONResponse({"status": "ok"})
+        return await self._health(ask)
 
     def _check_prepared(self) -> None:
         if not all(self.core.state(name) == "ready" for name in self._names):
@@ -419,15 +403,12 @@ class Service:
         def held() -> dict[str, Any]:
             label, grid = map_of(body, kind, values["name"] or "", self.bounds, values)
             options = self.core.options
-            features = prepare(
-                grid, label, ready=False,
-                memory_budget=options.memory_budget, threads=options.threads,
-            )  # fmt: skip
-            need = features.bytes_for(FUSED)
+            limits = {"memory_budget": options.memory_budget, "threads": options.threads}
+            features = prepare(grid, label, ready=False, **limits)
+            need, most = features.bytes_for(FUSED), 2 * self._part
             what = f"{label}: a map of {grid.info.width} x {grid.info.height} cells"
-            all_of_it = need + answer_bytes(features, options)
-            check_budget(all_of_it, 2 * self._part, what, "crop the map")
-            id_, gone = self._maps.put(label, need)
+            check_budget(need + answer_bytes(features, options), most, what, "crop the map")
+            id_, gone = self._maps.put(label, need, ask.client)
             for one in gone:
                 self._forget(one)
             try:
@@ -443,9 +424,7 @@ class Service:
     async def _drop_map(self, ask: Ask) -> Response:
         name = self._site(ask.id)[0]
         if name not in self._maps:
-            raise Refused(
-                "name-taken", f"{name}: is a map of the service itself, and cannot be removed"
-            )
+            raise Refused("name-taken", f"{name}: a map of the service itself cannot be removed")
         if count := self.robots.within(name):
             some = "a robot is" if count == 1 else f"{count} robots are"
             raise Refused("in-use", f"{name}: {some} followed in it; remove it when they are gone")
@@ -463,11 +442,10 @@ class Service:
 
     async def _body(self, ask: Ask, limit: int | None = None) -> tuple[bytes, str]:
         """The body, and its media type."""
-        body = await read_body(
-            ask.request.scope, ask.request.receive, limit=limit or self.bounds.max_body,
-            seconds=self.bounds.patience, stopping=self.stopping, bodies=self.bodies,
-        )  # fmt: skip
-        return body, ask.request.headers.get("content-type", "")
+        request, limit = ask.request, limit or getattr(self.bounds, ask.route.limit)
+        body = await read_body(request.scope, request.receive, self.bodies, self.stopping,
+                               limit=limit, seconds=self.bounds.patience)  # fmt: skip
+        return body, request.headers.get("content-type", "")
 
     async def _asked(self, ask: Ask, site: Site | None) -> tuple[list[int], Sent, Prior]:
         """Which scans are asked about, the set that they are of, and what is known of the pose."""
@@ -515,7 +493,7 @@ class Service:
                 scans = replace(scans, scans=scaled)
             one = ScansHeld(values["name"] or "scans", scans, warnings)
             weight = sum(2 * len(scan.ranges) + _EACH for scan in scans.scans)
-            return one.about(self._scans.put(one, weight)[0])
+            return one.about(self._scans.put(one, weight, ask.client)[0])
 
         found = await ask.run(held)
         return JSONResponse(found, 201, {"Location": f"/v1/scans/{found['id']}"})
@@ -648,7 +626,7 @@ class Service:
 
     async def _likelihood(self, ask: Ask) -> Response:
         site, values = self._site(ask.values["map"])[1], ask.values
-        held, unwanted = self._held(values["scans"]), threading.Event()
+        held = self._held(values["scans"])
         options = site.options(replace(self.core.options, method=values["method"]))
         which = None if values["slice"] == "max" else int(values["slice"])
         names = ("scans", "index", "method", "range_scale", "range_max", "flipped")
@@ -659,25 +637,23 @@ class Service:
                 scan = _one_of(held, values)
                 self._stack = None  # before the next one takes its memory
                 budget = replace(options, memory_budget=2 * self._part)
-                stack = likelihood(site.features, scan, budget, unwanted=unwanted.is_set)
-                self._stack = key, stack
+                self._stack = key, likelihood(site.features, scan, budget)
             return layers.slice_layer(self._stack[1], which)
 
-        return _png(await ask.run(drawn, unwanted=unwanted))
+        return _png(await ask.run(drawn))
 
     async def _atlas(self, ask: Ask) -> Response:
         site, values = self._site(ask.values["map"])[1], ask.values
         held, options = self._held(values["scans"]), site.options(self.core.options)
         how = {key: values[key] for key in ("step", "headings", "start")}
         survey = behind("survey_part")
-        work = lambda: survey(site.features, _one_of(held, values), options, **how)  # noqa: E731
-        return JSONResponse(await ask.run(work))
+        return JSONResponse(await ask.run(
+            lambda: survey(site.features, _one_of(held, values), options, **how)))  # fmt: skip
 
     async def _visibility(self, ask: Ask) -> Response:
         site = self._site(ask.values["map"])[1]
-        return JSONResponse(await ask.run(
-            lambda: layers.seen_from(site.features, ask.values["at"])
-        ))  # fmt: skip
+        at = ask.values["at"]
+        return JSONResponse(await ask.run(lambda: layers.seen_from(site.features, at)))
 
     async def _region(self, ask: Ask) -> Response:
         site = self._site(ask.values["map"])[1]
@@ -686,8 +662,8 @@ class Service:
 
     async def _track(self, socket: WebSocket) -> None:
         """A line in, a line out, as `imgloc track --json` has it."""
-        given = read_query(socket.scope["query_string"], openapi.TRACK)
-        values = with_defaults(given, openapi.TRACK)
+        given = read_query(socket.scope["query_string"], openapi.TRACK.parameters)
+        values = with_defaults(given, openapi.TRACK.parameters)
         name = self._site(values["map"])[0]
         try:
             await self.robots.follow(socket, values, name, lambda: self._site(name)[1])
@@ -695,8 +671,11 @@ class Service:
             if socket.application_state != WebSocketState.CONNECTED:
                 raise
             problem = self._problem(error)
-            await socket.send_text(problem.body.decode())
-            await socket.close(1011 if problem.status == 500 else 1007, "see the last message")
+            with contextlib.suppress(TimeoutError):  # of one that does not read
+                with anyio.fail_after(_DRAIN):
+                    await socket.send_text(problem.body.decode())
+                    code = 1011 if problem.status == 500 else 1007
+                    await socket.close(code, "see the last message")
 
 
 def _one_of(held: ScansHeld, values: Values) -> LaserScan:

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -27,8 +28,6 @@ from websockets.sync.client import connect
 import imgloc
 from imgloc.io.textscans import read_jsonl_line
 from imgloc.live.bounds import Bounds
-from imgloc.live.localizer import Localizer
-from imgloc.live.service import Service
 from imgloc.model import LaserScan, Pose2D
 from imgloc.output.rows import scan_row
 
@@ -110,6 +109,16 @@ def test_a_long_list_of_indices_is_refused_before_it_is_made(service: Served) ->
     answer = httpx.post(f"{service.address}/v1/localize", params=asked, timeout=60)
     assert answer.status_code == 413
     assert "at most 1,000 at once; index names some" in answer.json()["detail"]
+
+
+def test_json_of_millions_of_numbers_is_refused_before_it_holds_all_threads(
+    service: Served,
+) -> None:
+    body = b'{"angle_min": 0, "angle_increment": 0.001, "ranges": [' + b"1," * 500_000 + b"1]}"
+    kind = {"Content-Type": "application/json"}
+    answer = httpx.post(f"{service.address}/v1/localize", content=body, headers=kind, timeout=60)
+    assert answer.status_code == 413
+    assert "500,002 values, expected at most 400,000" in answer.json()["detail"]
 
 
 def test_marks_are_no_more_than_there_are_scans(service: Served) -> None:
@@ -274,7 +283,30 @@ def test_robots_that_speak_make_no_room(service: Served) -> None:
             connect(url)
 
 
-@pytest.mark.parametrize("state", ["idle", "body", "unread", "robot", "layer"])
+def test_a_robot_that_does_not_read_is_followed_no_more() -> None:
+    with served(CURVED, "--patience", 0.5) as one, socket.socket() as mute:
+        mute.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        mute.connect(("127.0.0.1", one.port))
+        mute.sendall(
+            f"GET /v1/track?places=true HTTP/1.1\r\nHost: 127.0.0.1:{one.port}\r\n"
+            "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+        )
+        mute.settimeout(60)
+        assert mute.recv(20).startswith(b"HTTP/1.1 101 ")
+        mute.setblocking(False)
+        line = LINE.encode()
+        frame = b"\x81\xfe" + len(line).to_bytes(2, "big") + bytes(4) + line  # masked by zeros
+        until, rest = time.monotonic() + 60, b""
+        while "imgloc_sockets 1.0" in metrics(one):
+            assert time.monotonic() < until
+            rest = rest or 20 * frame
+            with contextlib.suppress(OSError):
+                rest = rest[mute.send(rest) :]
+        assert re.search(r'refused.*"too-slow"} 1.0', metrics(one))
+
+
+@pytest.mark.parametrize("state", ["silent", "head", "idle", "body", "unread", "robot", "layer"])
 def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says(state: str) -> None:
     """Standard error is a pipe that is full."""
     read, write = os.pipe()
@@ -292,7 +324,11 @@ def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says(state
         with contextlib.ExitStack() as stack:
             there = stack.enter_context(socket.create_connection(("127.0.0.1", one.port)))
             host = f"Host: 127.0.0.1:{one.port}\r\n"
-            if state == "body":
+            if state == "head":
+                there.sendall(b"GET / HTTP/1.1\r\nHost")
+            elif state == "idle":
+                there.sendall(f"GET /healthz HTTP/1.1\r\n{host}\r\n".encode())
+            elif state == "body":
                 there.sendall(
                     f"POST /v1/which HTTP/1.1\r\n{host}Content-Length: 9\r\n\r\n{{".encode()
                 )
@@ -322,63 +358,99 @@ def test_two_clients_with_one_name_never_see_each_others_map() -> None:
     """1,000 steps in random order: each is answered from the map that the client has sent."""
     draw, maps = random.Random(5), [room(60, 50), room(50, 60, 9)]
     scan = {"ranges": [1.0] * 12, "angle_min": -3.0, "angle_increment": 0.5}
+    how = {"name": "office", "resolution": "0.1"}
 
-    async def run() -> None:
-        with Localizer({}) as core:
-            transport = httpx.ASGITransport(Service(core, bounds=Bounds(held=2)))
-            async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as ask:
-                how = {"name": "office", "resolution": "0.1"}
-
-                async def client(image: bytes, steps: int) -> None:
-                    about: dict[str, Any] | None = None
-                    version = ""
-                    for _ in range(steps):
-                        await asyncio.sleep(draw.random() / 1000)
-                        if about is None:
-                            sent = await ask.post("/v1/maps", params=how, content=image)
-                            assert sent.status_code == 201, sent.text
-                            about = sent.json()
-                            assert version in ("", about["version"])
-                            version = about["version"]
-                        elif draw.random() < 0.1:
-                            gone = await ask.delete(f"/v1/maps/{about['id']}")
-                            assert gone.status_code == 204
-                            about = None
-                        else:
-                            url = f"/v1/localize?map={about['id']}&method=cbml&theta_step_deg=30"
-                            row = (await ask.post(url, json=scan)).json()
-                            assert (row["map"], row["version"]) == (about["id"], version)
-
-                await asyncio.gather(*(client(image, 500) for image in maps))
-
-    asyncio.run(run())
-
-
-def test_a_map_that_goes_meanwhile_still_answers_who_has_asked() -> None:
-    """The body comes after the map was deleted: the map is looked for once."""
-
-    async def run() -> None:
-        with Localizer({}) as core:
-            service = Service(core)
-            transport = httpx.ASGITransport(service)
-            async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as ask:
-                how = {"name": "office", "resolution": "0.1"}
-                sent = await ask.post("/v1/maps", params=how, content=room(60, 50))
+    async def client(ask: httpx.AsyncClient, image: bytes, steps: int) -> None:
+        about: dict[str, Any] | None = None
+        version = ""
+        for _ in range(steps):
+            await asyncio.sleep(draw.random() / 1000)
+            if about is None:
+                sent = await ask.post("/v1/maps", params=how, content=image)
+                assert sent.status_code == 201, sent.text
                 about = sent.json()
+                assert version in ("", about["version"])
+                version = about["version"]
+            elif draw.random() < 0.1:
+                gone = await ask.delete(f"/v1/maps/{about['id']}")
+                assert gone.status_code == 204
+                about = None
+            else:
+                url = f"/v1/localize?map={about['id']}&method=cbml&theta_step_deg=30"
+                row = (await ask.post(url, json=scan)).json()
+                assert (row["map"], row["version"]) == (about["id"], version)
 
-                async def body() -> Any:
-                    gone = await ask.delete(f"/v1/maps/{about['id']}")
-                    assert gone.status_code == 204
-                    await ask.post("/v1/maps", params=how, content=room(50, 60, 9))
-                    yield json.dumps(SCAN).encode()
+    async def run(address: str) -> None:
+        async with httpx.AsyncClient(base_url=address, timeout=120) as ask:
+            await asyncio.gather(*(client(ask, image, 500) for image in maps))
 
-                url = f"/v1/localize?map={about['id']}&near=3,3,0,3"
-                kind = {"Content-Type": "application/json"}
-                row = await ask.post(url, content=body(), headers=kind)
-                assert row.status_code == 200, row.text
-                assert row.json()["version"] == about["version"]
+    with served(CURVED) as one:
+        asyncio.run(run(one.address))
 
-    asyncio.run(run())
+
+def test_a_map_that_goes_meanwhile_still_answers_who_has_asked(service: Served) -> None:
+    """The body comes after the map was deleted: the map is looked for once."""
+    how = {"name": "office", "resolution": "0.1"}
+    sent = httpx.post(f"{service.address}/v1/maps", params=how, content=room(60, 50), timeout=60)
+    about, body = sent.json(), json.dumps(SCAN).encode()
+    for query in ("", "&near=3,3,0,3"):
+        head = (
+            f"POST /v1/localize?map={about['id']}{query} HTTP/1.1\r\nHost: 127.0.0.1:{service.port}"
+            "\r\nContent-Type: application/json\r\nExpect: 100-continue\r\nConnection: close\r\n"
+            f"Content-Length: {len(body)}\r\n\r\n"
+        )
+        with socket.create_connection(("127.0.0.1", service.port), timeout=60) as there:
+            there.sendall(head.encode())
+            assert there.recv(100).startswith(b"HTTP/1.1 100 ")  # the map is found by now
+            assert httpx.delete(f"{service.address}/v1/maps/{about['id']}").status_code == 204
+            other = sent_map(service, room(50, 60, 9), **how)
+            there.sendall(body)
+            answer = b"".join(iter(lambda: there.recv(65536), b""))
+        assert answer.startswith(b"HTTP/1.1 200 ")
+        row = json.loads(answer.partition(b"\r\n\r\n")[2])
+        assert (row["map"], row["version"]) == (about["id"], about["version"])
+        about = httpx.get(f"{service.address}/v1/maps/{other}").json()
+
+
+def test_uploads_of_one_client_do_not_push_out_those_of_another(service: Served) -> None:
+    """They come from two addresses."""
+    mine = sent_map(service, room(60, 50))
+    scans = sent_scans(service, json.dumps(SCAN).encode())
+    elsewhere = httpx.HTTPTransport(local_address="127.0.0.2")
+    with httpx.Client(base_url=service.address, transport=elsewhere, timeout=60) as other:
+        for _ in range(2 * Bounds().held):
+            how = {"name": "big", "resolution": 0.05}
+            assert other.post("/v1/maps", params=how, content=room(40, 50)).is_success
+            assert other.post("/v1/scans?name=a.jsonl", json=SCAN).is_success
+    assert httpx.get(f"{service.address}/v1/maps/{mine}").status_code == 200
+    assert httpx.get(f"{service.address}/v1/scans/{scans}").status_code == 200
+
+
+def test_a_layer_that_nobody_waits_for_makes_room_for_the_next(service: Served) -> None:
+    """Each of these takes minutes."""
+    map_ = sent_map(service, room(1500, 1500))
+    scans = sent_scans(
+        service, json.dumps({**SCAN, "ranges": [2.0 + k / 90 for k in range(90)]}).encode()
+    )
+    layer = f"GET /v1/layers/likelihood?map={map_}&scans={scans}&method=beam HTTP/1.1\r\n"
+    for _ in range(3):
+        with socket.create_connection(("127.0.0.1", service.port)) as there:
+            there.sendall(f"{layer}Host: 127.0.0.1:{service.port}\r\n\r\n".encode())
+            waits(service, lambda busy: busy)
+        waits(service, lambda busy: not busy)
+    httpx.delete(f"{service.address}/v1/maps/{map_}")
+
+
+def waits(one: Served, enough: Callable[[int], bool]) -> None:
+    """Wait until so many layers are under way."""
+    until = time.monotonic() + 20
+    while not enough(int(float(re.findall(r'queue.*"layers".* (\S+)', metrics(one))[0]))):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def metrics(one: Served) -> str:
+    return httpx.get(f"{one.address}/metrics", timeout=30).text
 
 
 # A scan is read back as it was sent.

@@ -193,6 +193,27 @@ def test_maps_of_one_name_are_told_apart_and_are_there_after_a_reload(page: Any)
     other.close()
 
 
+@pytest.mark.parametrize("image", ["map", "hall 2"])
+def test_a_map_that_is_called_map_has_the_name_of_its_folder_or_of_its_image(
+    page: Any, tmp_path: Path, image: str
+) -> None:
+    folder = tmp_path / "annex"
+    folder.mkdir()
+    text = (MAPS / "curved.yaml").read_text().replace("curved.png", f"{image}.png")
+    (folder / "map.yaml").write_text(text)
+    shutil.copy(MAPS / "curved.png", folder / f"{image}.png")
+    (folder / "notes.txt").write_text("of the folder only its map is taken")
+    drop(page, (f"{image}.png", (MAPS / "curved.png").read_bytes()), ("map.yaml", text.encode()))
+    sync.expect(page.locator("#map option:checked")).to_have_text(image)
+    box = page.locator("#canvas").bounding_box()
+    devtools = page.context.new_cdp_session(page)
+    for kind in ("dragEnter", "dragOver", "drop"):
+        data = {"items": [], "files": [str(folder)], "dragOperationsMask": 1}
+        where = {"type": kind, "x": box["x"] + 99, "y": box["y"] + 99, "data": data}
+        devtools.send("Input.dispatchDragEvent", where)
+    sync.expect(page.locator("#map option:checked")).to_have_text("annex")
+
+
 def test_a_resolution_that_makes_a_map_of_kilometres_is_asked_for_twice(page: Any) -> None:
     drop(page, ("bare.png", (MAPS / "curved.png").read_bytes()))
     size, use = page.locator("#reading-size"), page.get_by_role("button", name="Use it")
@@ -746,7 +767,7 @@ def test_a_map_that_cannot_be_shown_says_why_and_comes_later(browser: Any, servi
     page.goto(service)
     blank = page.locator("#blank")
     sync.expect(blank).to_have_text(
-        "The map cannot be shown: no answer within 3 s The page asks again."
+        "The map cannot be shown: no answer within 3 s. The page asks again."
     )
     sync.expect(blank).to_be_hidden()
     assert len(refused) == 2

@@ -12,6 +12,7 @@ export const LOOKING = "Looking for the pose";
 const CHUNK = 50; // scans that are fetched at a time
 const LONGEST = 90; // characters of a name of a map
 const GONE = 404; // the service holds a few uploads: it may have dropped this one
+const LATE = 504; // the service has given it up
 const MINE = "imgloc maps"; // where the ids of the maps of this page are kept
 
 let items = new Map(); // by index, scans that are here
@@ -84,10 +85,16 @@ export function chooseMap(map) {
   if (state.set) selectScan(state.index);
 }
 
+/** What a map is called: as its file; one that is called "map" as its folder, or as its image. */
+function nameOf(file, image, folder) {
+  const stems = [file.name, folder, image.name].map((name) => name.replace(/\.[^.]*$/, ""));
+  const plain = stems.map((stem) => stem.replace(/[^\w. -]/g, "-").replace(/^[-. ]+|[-. ]+$/g, "").slice(0, LONGEST));
+  return plain.find((name) => name && name !== "map") ?? "map";
+}
+
 /** Give the service a map, and look at it. */
-export async function addMap(image, yaml, reading) {
-  const file = (yaml ?? image).name, stem = file.replace(/\.[^.]*$/, "");
-  const name = stem.replace(/[^\w. -]/g, "-").replace(/^[-. ]+|[-. ]+$/g, "").slice(0, LONGEST) || "map";
+export async function addMap(image, yaml, reading, folder = "") {
+  const file = (yaml ?? image).name, name = nameOf(yaml ?? image, image, folder);
   const map = await attempt(`Reading ${image.name}`, () => api.uploadMap(image, yaml, { name, ...reading }));
   if (!map) return false;
   const known = { ...map, file, reading: yaml ? null : reading };
@@ -303,7 +310,9 @@ const draw = api.newest(async (signal) => {
   const ask = () => (likely
     ? aboutScans((id) => api.layer("likelihood", { ...asked(id), ...of }, signal))
     : api.layer(layer, { map: map.id }, signal));
-  const picture = await stoppable(layer, signal, () => attempt("the layer", ask));
+  const picture = await stoppable(layer, signal, () => attempt("the layer", () => api.again(ask, (error) => {
+    if (error.status === LATE) throw error; // it would be late again
+  })));
   if (!signal.aborted) change({ picture: picture && { ...picture, layer } });
 });
 

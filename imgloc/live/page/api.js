@@ -50,6 +50,21 @@ async function ask(path, values = {}, options = {}) {
   return response;
 }
 
+const SOON = 1000, LATEST = 10000; // milliseconds until what has no answer yet is asked again
+
+/** Ask until there is an answer; `tell` hears each time why there is none, and may throw. */
+export async function again(work, tell) {
+  for (let wait = SOON; ; wait = Math.min(2 * wait, LATEST)) {
+    try {
+      return await work();
+    } catch (error) {
+      if (!error.passes) throw error;
+      tell(error);
+      await new Promise((done) => { setTimeout(done, wait); });
+    }
+  }
+}
+
 const json = async (response) => (await response).json();
 const post = (path, values, body) => patiently(() => ask(path, values, { method: "POST", body }));
 const get = (path, values, signal) => patiently(() => ask(path, values, { signal }));

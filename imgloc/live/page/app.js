@@ -51,30 +51,21 @@ function fit() {
   redraw();
 }
 
-const SOON = 1000, LATEST = 10000; // milliseconds until a map is asked for again
-const pause = (time) => new Promise((done) => { setTimeout(done, time); });
-
 /** Load the map; while the service has no time for it, say so and ask again. */
 async function loadCells() {
-  const { map } = state;
+  const { map } = state, here = () => map && map === state.map;
   cells = null;
   change({ blank: "" });
   redraw();
-  for (let wait = SOON; map && map === state.map; wait = Math.min(2 * wait, LATEST)) {
-    try {
-      const image = await api.cells(map.id);
-      if (map !== state.map) return;
-      cells = new Cells(image);
-      change({ blank: "" });
-      fit();
-      return;
-    } catch (error) {
-      if (!(error instanceof api.Problem)) throw error;
-      if (map !== state.map) return;
-      change({ blank: `The map cannot be shown: ${error.message}${error.passes ? " The page asks again." : ""}` });
-      if (!error.passes) return;
-      await pause(wait);
-    }
+  const tell = (error) => here() && change({ blank: `The map cannot be shown: ${error.message.replace(/\.?$/, ".")}${error.passes ? " The page asks again." : ""}` });
+  try {
+    const image = map && await api.again(() => here() && api.cells(map.id), tell);
+    if (!here() || !image) return;
+    cells = new Cells(image);
+    change({ blank: "" });
+    fit();
+  } catch (error) { // also of the browser, which does not take each image
+    tell(error);
   }
 }
 
@@ -241,6 +232,7 @@ async function start() {
 }
 
 const AGAIN = 1000; // milliseconds, while maps are being prepared
+const pause = (time) => new Promise((done) => { setTimeout(done, time); });
 
 /** Ask for the maps until all of them are prepared, and look at the first. */
 async function askForMaps() {

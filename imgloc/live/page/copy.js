@@ -76,7 +76,7 @@ export function script(state) {
   const reading = Object.entries(readingOf(map))
     .map(([key, value]) => `, ${key}=${key === "origin" ? `(${value})` : value}`).join("");
   const lines = ["import imgloc", ""];
-  if (isKnown(known) && set) lines.splice(1, 0, "from imgloc.search.priors import prior_of");
+  if (known.clearance > 0 && set) lines.splice(1, 0, "from imgloc.search.priors import prior_of");
   if (known.region && set) lines.splice(1, 0, "import numpy as np", "from skimage.draw import polygon2mask");
   lines.push(`grid = imgloc.load_map(${python(files.map)}${reading})`, "features = imgloc.prepare(grid)");
   if (!set) return `${lines.join("\n")}\n`;
@@ -84,11 +84,16 @@ export function script(state) {
   const options = method === "fused" ? [] : [`method=${python(method)}`];
   if (isKnown(known)) {
     const said = [];
-    if (known.near) said.push(`near=(${known.near.map(number).join(", ")})`);
-    if (known.clearance > 0) said.push(`clearance=${number(known.clearance)}`);
-    lines.push(`prior = prior_of(imgloc.Known(${said.join(", ")}), grid)`);
-    if (known.region) lines.push(...regionLines(map, known.region));
-    options.push("prior=prior");
+    if (known.near) {
+      const [x, y, yaw, radius, turn] = known.near.map(number);
+      said.push(`imgloc.near(grid, ${x}, ${y}, ${yaw}, radius=${radius}, tolerance=${turn})`);
+    }
+    if (known.clearance > 0) said.push(`prior_of(imgloc.Known(clearance=${number(known.clearance)}), grid)`);
+    if (known.region) {
+      lines.push(...regionLines(map, known.region));
+      said.push("imgloc.region(grid, cells)");
+    }
+    options.push(`prior=${said.join(" & ")}`);
   }
   lines.push(`answer = imgloc.localize(features, scan, imgloc.Options(${options.join(", ")}))`, "print(answer.verdict, answer.pose)");
   if (METHODS.includes(layer)) lines.push(`stack = imgloc.likelihood(features, scan, ${python(layer)})  # (theta, y, x)`);
@@ -118,7 +123,7 @@ function regionLines(map, region) {
     `c, s = np.cos(${number(theta)}), np.sin(${number(theta)})`,
     `xy = (corners - (${number(x)}, ${number(y)})) @ np.array([[c, -s], [s, c]])`,
     "rows_columns = xy[:, ::-1] / grid.resolution - 0.5",
-    "prior &= imgloc.Prior(polygon2mask(grid.occupied.shape, rows_columns))",
+    "cells = polygon2mask(grid.occupied.shape, rows_columns)",
   ];
 }
 

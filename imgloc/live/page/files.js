@@ -8,16 +8,19 @@ const IMAGES = /\.(png|pgm|ppm|pnm|tiff?|bmp|webp|jpe?g)$/i;
 const YAMLS = /\.ya?ml$/i;
 const LOSSY = /\.jpe?g$/i;
 
-/** Take files: a map first, as scans are looked for on it. */
-export async function take(list) {
+/** Take files: a map first, as scans are looked for on it. Of a folder only its map is taken. */
+export async function take(list, folder = "") {
   change({ trouble: "" });
-  const all = [...list], images = all.filter((f) => IMAGES.test(f.name));
-  const yamls = [], scans = [];
+  const all = [...list], yamls = [], scans = [];
+  let images = all.filter((f) => IMAGES.test(f.name));
   for (const file of all.filter((f) => !IMAGES.test(f.name))) {
     // `ros2 topic echo` writes YAML as well; that of a map names its image.
-    const ofMap = YAMLS.test(file.name) && /^\s*image\s*:/m.test(await file.slice(0, 65536).text());
-    (ofMap ? yamls : scans).push(file);
+    const named = YAMLS.test(file.name) && /^\s*image\s*:\s*["']?([^"'\n]*[/\\])?([^"'\n]*?)["']?\s*$/m.exec(await file.slice(0, 65536).text());
+    (named ? yamls : scans).push(file);
+    if (named && images.some((f) => f.name === named[2])) images = images.filter((f) => f.name === named[2]);
   }
+  if (folder) scans.length = 0;
+  if (folder && !images.length) change({ trouble: `${folder}: expected the image of a map in this folder.` });
   const [yaml] = yamls;
   if (yamls.length > 1 || scans.length > 1 || images.length > 1) {
     const many = [[yamls, "maps"], [scans, "files of scans"], [images, "images"]].find(([some]) => some.length > 1);
@@ -32,7 +35,7 @@ export async function take(list) {
     const [image] = images, reading = yaml ? {} : await askReading(image);
     if (!reading) return;
     if (LOSSY.test(image.name)) reading.allow_lossy = true;
-    if (!(await addMap(image, yaml, reading))) return;
+    if (!(await addMap(image, yaml, reading, folder))) return;
   }
   if (scans.length) await addScans(scans[0]);
 }
@@ -81,6 +84,15 @@ async function askReading(file) {
   return { resolution: field.value, origin };
 }
 
+/** What is dropped: files, or those in a folder, with its name. */
+async function dropped(transfer) {
+  const entries = [...transfer.items].map((one) => one.webkitGetAsEntry?.()), files = [...transfer.files];
+  if (entries.length !== 1 || !entries[0]?.isDirectory) return [files];
+  const asked = (ask) => new Promise((done) => { ask(done, () => done([])); });
+  const reader = entries[0].createReader(), inside = await asked((...how) => reader.readEntries(...how));
+  return [await Promise.all(inside.filter((one) => one.isFile).map((one) => asked((...how) => one.file(...how)))), entries[0].name];
+}
+
 /** Let files be dropped anywhere on the page, or chosen. */
 export function acceptFiles() {
   const chooser = $("files");
@@ -98,6 +110,6 @@ export function acceptFiles() {
   document.addEventListener("drop", (event) => {
     event.preventDefault();
     document.body.classList.remove("dropping");
-    if (event.dataTransfer.files.length) take(event.dataTransfer.files);
+    if (event.dataTransfer.files.length) dropped(event.dataTransfer).then((all) => take(...all));
   });
 }

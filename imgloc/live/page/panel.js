@@ -215,12 +215,12 @@ export function startPanel() {
     say($("trouble-words"), state.trouble);
     $("trouble").hidden = !state.trouble;
   });
-  watch(["busy", "note"], () => {
-    const words = state.busy ? `${state.busy} …` : state.note;
+  watch(["busy", "note", "waiting"], () => {
+    const busy = state.busy && !state.waiting, words = busy ? `${state.busy} …` : state.note;
     say($("note"), words);
     $("note").hidden = !words;
     clearTimeout(fading);
-    if (!state.busy && words) fading = setTimeout(() => change({ note: "" }), SHOWN);
+    if (!busy && words) fading = setTimeout(() => change({ note: "" }), SHOWN);
   });
   for (const show of [showVerdict, showHypotheses, showPose, showKnown, showLayerRow, showMarks]) show();
 }

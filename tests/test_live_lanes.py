@@ -1,0 +1,118 @@
+"""Lanes: places are shared among clients, and what nobody waits for any more is stopped."""
+
+import asyncio
+import threading
+
+import numpy as np
+import pytest
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.likelihoods.stacks import likelihood
+from imgloc.live.held import Held
+from imgloc.live.lanes import Lane, Piece, Unwanted
+from imgloc.live.problems import Refused
+from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.options import METHODS, Options
+
+WALLS = np.pad(np.zeros((1400, 1400), bool), 3, constant_values=True)
+SCAN = LaserScan(np.linspace(1, 8, 181), np.linspace(-1.5, 1.5, 181), range_max=30.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_likelihood_of_each_method_is_stopped_where_it_runs(method: str) -> None:
+    features = MapFeatures(OccupancyGrid(WALLS, ~WALLS, 0.05))
+    begun, ends = threading.Event(), list[object]()
+
+    def work() -> None:
+        begun.set()
+        for _ in range(1000):
+            likelihood(features, SCAN, Options(method, memory_budget=8 << 30))
+
+    piece = Piece(work)
+
+    def run() -> None:
+        try:
+            ends.append(piece())
+        except Unwanted as end:
+            ends.append(type(end))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    begun.wait()
+    piece.stop()
+    thread.join()
+    assert ends == [Unwanted]
+
+
+def test_a_stop_that_comes_late_hits_no_other_work() -> None:
+    """As the threads of a lane do piece after piece."""
+    pieces = [Piece(lambda: sum(range(200))) for _ in range(3000)]
+    stopped, threads = list[int](), list[threading.Thread]()
+
+    def run() -> None:
+        for k, piece in enumerate(pieces):
+            try:
+                assert piece() == 19_900
+            except Unwanted:
+                stopped.append(k)
+        assert sum(range(10_000)) == 49_995_000  # none is left over
+
+    def stop() -> None:
+        for k in range(0, 3000, 2):
+            pieces[k].stop()
+
+    threads = [threading.Thread(target=one) for one in (run, stop)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(k % 2 == 0 for k in stopped)
+
+
+def test_work_that_is_stopped_before_it_begins_does_not_begin() -> None:
+    done = list[int]()
+    piece = Piece(lambda: done.append(1))
+    piece.stop()
+    with pytest.raises(Unwanted):
+        piece()
+    assert done == []
+
+
+def test_a_client_that_fills_a_lane_gives_places_to_others() -> None:
+    async def run() -> None:
+        lane, gate = Lane(3, 1), threading.Event()
+
+        def ask(client: str) -> "asyncio.Task[str]":
+            def work() -> str:
+                gate.wait()
+                return client
+
+            return asyncio.ensure_future(lane.run(work, 60, client=client))
+
+        first = [ask("a") for _ in range(4)]
+        await asyncio.sleep(0.01)
+        with pytest.raises(Refused, match="come back in a second"):
+            await ask("a")
+        second = [ask("b") for _ in range(2)]
+        with pytest.raises(Refused):  # each has two by now
+            await ask("b")
+        third = ask("c")
+        await asyncio.sleep(0.01)
+        gate.set()
+        found = await asyncio.gather(*first, *second, third, return_exceptions=True)
+        words = [one if isinstance(one, str) else type(one).__name__ for one in found]
+        assert words == ["a", "Refused", "Refused", "Refused", "b", "b", "c"]
+        await asyncio.sleep(0.01)
+        assert lane.pending == 0
+
+    asyncio.run(run())
+
+
+def test_uploads_push_out_those_of_their_own_client() -> None:
+    held, gone = Held[str](4), list[str]()
+    mine = held.put("mine", client="a")[0]
+    for k in range(100):
+        gone += held.put(f"{k}", client="b")[1]
+    assert held.get(mine) == "mine"
+    assert len(held) == 4
+    assert len(gone) == 97
