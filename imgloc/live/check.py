@@ -135,12 +135,12 @@ class _Ear:
         frame = frame_name(heard.messages[-1].header.frame_id)
         turned, mounts = self.settings.flipped, self.settings.mounts
         if mounts is not None:
-            mount, source = mounts[k], "--sensor"
+            mount, source = mounts[k], "parameter sensor"
         elif (link := self.frames.at(frame, base, 0.0)) is not None:
             mount, turned, source = Pose2D(*planar(link)), link[2, 2] < 0, "tf"
         else:
             found = f"tf does not say where {frame} sits on {base}"
-            return Row(f"{heard.name} mount", found, "publish it, or give --sensor X,Y,YAW"), []
+            return Row(f"{heard.name} mount", found, "publish it, or set the parameter sensor to X,Y,YAW"), []
         chosen = [heard.messages[i] for i in np.linspace(0, len(heard.messages) - 1, _SCANS)
                   .astype(int)]  # fmt: skip
         scans = [scan_from_msg(one, heard.name) for one in chosen]
@@ -171,7 +171,7 @@ def check_robot(
         rows += ear.topic_rows(ear.odom, needed=False)
         simulated = bool(node.get_parameter("use_sim_time").value)
         if simulated != (clocks := bool(node.count_publishers("/clock"))):
-            do = "-p use_sim_time:=true" if clocks else "play the bag with --clock"
+            do = "-p use_sim_time:=true" if clocks else "play the bag with its clock"
             rows.append(Row("/clock", "published" if clocks else "not published", do))
         if not node.count_subscribers("initialpose"):
             name = node.resolve_topic_name("initialpose")
