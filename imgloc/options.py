@@ -439,12 +439,6 @@ class Options(Checked):
         "unless the scan has been straightened.",
         "--max-turn-deg",
     )
-    exact: bool = option(
-        False,
-        "Search by branch and bound: cbml finds its best poses without scoring all of them, "
-        "fused gets further proposals.",
-        "--exact-argmax",
-    )
     prior: Annotated[Prior, Doc("Poses that are considered. [default: all]")] = field(
         default_factory=Prior
     )

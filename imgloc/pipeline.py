@@ -37,7 +37,7 @@ from imgloc.search.priors import pyramid_levels, standing
 from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import score_poses, shortlist
-from imgloc.search.stacked import exact_poses, weigh_exact, weigh_stack
+from imgloc.search.stacked import weigh_stack
 from imgloc.search.weigh import nothing, weigh
 
 _LAST = number("pipeline.last")  # proposals that get the second look when time is up
@@ -169,8 +169,6 @@ def _located(
     elif options.method == FUSED and stack is None:
         found = find_adapted_modes(features, scan, options)
         weighed = weigh(features, found, options, scan)
-    elif options.exact and stack is None:
-        weighed = weigh_exact(features, scan, options)
     else:
         stack = likelihood(features, scan, options) if stack is None else stack
         weighed = weigh_stack(features, scan, stack, options)
@@ -223,7 +221,7 @@ def find_modes_by_steps(
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
 
     # Propose poses whose endpoints fall on walls, and pick those that are worth more readings.
-    proposals = propose(features, scan, few, options, end)
+    proposals = propose(features, few, options, end)
     proposals = proposals if more is None else np.concatenate((proposals, more))
     yield
     looked, score = look(features, proposals, few, options)
@@ -247,10 +245,8 @@ def find_modes_by_steps(
     return Modes(poses, scores, many, complete=not late, looked=looked, spread=spread)
 
 
-def propose(
-    features: MapFeatures, scan: LaserScan, few: Readings, options: Options, end: float
-) -> FloatArray:
-    """Propose poses by endpoint correlation, and by branch and bound if `options.exact` is set.
+def propose(features: MapFeatures, few: Readings, options: Options, end: float) -> FloatArray:
+    """Propose poses by endpoint correlation.
 
     The result (M, 3) is in the grid frame: metres, metres, radians. Only the best poses are
     returned if the time is past `end`, seconds by :func:`time.monotonic`.
@@ -261,11 +257,7 @@ def propose(
         levels, few.xy, theta_step=fused.theta_step, keep=fused.keep[: len(levels)],
         skip=fused.skip, worse=fused.worse, prior=prior, threads=options.threads,
     )  # fmt: skip
-    if time.monotonic() >= end:
-        return poses[: fused.second_look]
-    if options.exact:
-        poses = np.concatenate((poses, exact_poses(features, scan, options, end)[0]))
-    return poses
+    return poses[: fused.second_look] if time.monotonic() >= end else poses
 
 
 def look(

@@ -24,7 +24,6 @@ from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Pose2D
 from imgloc.options import FusedOptions
 from imgloc.pipeline import localize
-from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
 from imgloc.search.rescore import rescore
@@ -85,14 +84,6 @@ def test_cbml_o(benchmark, features, scan):
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     stack = benchmark(lambda: cbml_o(features.vmap, points, THETAS, 0.2))
     assert near_truth(argmax(stack))
-
-
-def test_best_poses(benchmark, features, image, xy):
-    pooled = features.pooled
-    best = benchmark(lambda: best_poses(pooled, xy, THETAS))
-    assert near_truth(best.cells[0])
-    wanted = np.where(features.free, correlate(image, xy, THETAS, 0.2), -1)
-    assert tuple(best.cells[0]) == argmax(wanted)
 
 
 @pytest.mark.parametrize("visible", [False, True], ids=["ght", "ght_v"])

@@ -129,7 +129,6 @@ def test_scans_without_odometry_are_left_out_and_counted(lines: list[str]) -> No
     [
         ((), '{"ranges": [1], \n', 4, "standard input: line 1: not valid JSON"),
         ((), '{"ranges": [1]}\n', 4, "standard input: line 1"),
-        (("--kidnap", "1,1,1,0"), "{}\n", 2, "--kidnap: needs a log that is whole"),
         (("--follow",), "{}\n", 2, "--follow: is of a file that grows"),
     ],
 )

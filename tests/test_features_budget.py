@@ -13,19 +13,16 @@ from imgloc.features.budget import (
     available_bytes,
     check_budget,
     default_budget,
-    exact_bytes,
     features_bytes,
     fused_bytes,
     stack_bytes,
     surface_count,
 )
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import ALL_METHODS, METHODS, Options
 from imgloc.pipeline import localize
 from imgloc.search.asked import answer_bytes
-from imgloc.search.branch_and_bound import best_poses
 
 FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes
 
@@ -96,18 +93,6 @@ def test_features_and_answer_take_no_more_than_estimated(method: str) -> None:
     features, options = MapFeatures(grid, n_rays=48), Options(method=method, theta_step=np.pi / 6)
     taken = peak(lambda: localize(features, scan(), options))
     assert taken <= features.bytes_for(method) + answer_bytes(features, options)
-
-
-def test_the_exact_argmax_takes_no_more_than_estimated() -> None:
-    features = MapFeatures(office(8, 0.05), cell=0.05)
-    pooled = features.pooled
-    one = scan()
-    xy = np.column_stack((one.ranges * np.cos(one.angles), one.ranges * np.sin(one.angles)))
-    thetas = uniform_thetas(np.deg2rad(3))
-    taken = peak(lambda: best_poses(pooled, xy, thetas))
-    need = exact_bytes(features.lattice.shape, 0.05, len(thetas), readings=90)
-    assert taken <= need
-    assert need < stack_bytes("cbml", features.lattice.shape, len(thetas)) / 4
 
 
 def test_estimates_grow_with_everything() -> None:

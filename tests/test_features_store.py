@@ -17,10 +17,8 @@ from imgloc.features.store import (
     load_features,
     save_features,
 )
-from imgloc.geometry import uniform_thetas
 from imgloc.io.cache import entry_path, store_entry
 from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.search.branch_and_bound import best_poses
 
 PARAMETERS = {"n_psi": 24, "horizon": 5.0, "max_range": 5.0}
 
@@ -97,15 +95,6 @@ def test_where_all_points_vote_their_visibility_is_kept_once(grid, monkeypatch) 
     assert back.voters_visibility is back.visibility
 
 
-def test_loaded_maps_find_the_same_pose(grid: OccupancyGrid, arrays: dict) -> None:
-    xy = np.array([[0.5, 0.1], [0.4, -0.3], [-0.2, 0.6], [9.0, 0.0]])
-    thetas = uniform_thetas(0.2)
-    back = features_from_arrays(grid, arrays, PARAMETERS)
-    a = best_poses(MapFeatures(grid, **PARAMETERS).pooled, xy, thetas)
-    b = best_poses(back.pooled, xy, thetas)
-    assert a.cells.tolist() == b.cells.tolist()
-
-
 def test_thinner_walls_come_back_without_peeling(grid: OccupancyGrid, monkeypatch) -> None:
     fresh = MapFeatures(grid, **PARAMETERS)
     walls = [fresh.thinner(n).grid for n in range(4)]
@@ -159,9 +148,7 @@ def test_arrays_that_do_not_fit_are_refused(
         features_from_arrays(grid, {**arrays, name: bad}, PARAMETERS)
 
 
-@pytest.mark.parametrize(
-    "name", ["surface.alpha", "pyramid.free2", "pyramid.image0", "pooled.quads", "pooled.images"]
-)
+@pytest.mark.parametrize("name", ["surface.alpha", "pyramid.free2", "pyramid.image0"])
 def test_part_of_a_feature_is_refused(grid: OccupancyGrid, arrays: dict, name: str) -> None:
     rest = {k: v for k, v in arrays.items() if k != name}
     with pytest.raises(ValueError, match="got nothing"):
@@ -177,7 +164,7 @@ def test_unknown_arrays_and_orphans_are_refused(grid: OccupancyGrid, arrays: dic
 
 def test_arrays_of_another_map_are_refused(grid: OccupancyGrid, arrays: dict) -> None:
     smaller = OccupancyGrid(grid.occupied[:-1], grid.free[:-1], grid.resolution)
-    for name in ("walls", "field", "pooled", "pyramid"):
+    for name in ("walls", "field", "pyramid"):
         some = {k: v for k, v in arrays.items() if k.split(".")[0] == name}
         with pytest.raises(ValueError, match="expected"):
             features_from_arrays(smaller, some, PARAMETERS)

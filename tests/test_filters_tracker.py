@@ -13,7 +13,7 @@ from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
-from imgloc.filters.follow import Kidnap, follow
+from imgloc.filters.follow import Follower, follow
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.filters.tracker import Tracker, TrackerOptions, _Search
 from imgloc.geometry import transform_poses, wrap
@@ -144,12 +144,21 @@ def test_which_of_close_maxima_it_is_may_show_with_the_next_scan() -> None:
         assert moments[-1].belief.verdict == verdict
 
 
+def carried_off(scans, chosen):
+    """The moments of a filter that is put at a pose of long ago before the scan at 10 s."""
+    follower, moments = Follower(features_of(WORLD), chosen), []
+    for scan, odom, stamp in zip(scans.scans, scans.odom, scans.stamps, strict=True):
+        if stamp == 10.0:
+            follower.place(Pose2D(*scans.poses[2]), (0.1, 0.05), "kidnap")
+        moments.append(follower.step(scan, odom, stamp))
+    return moments
+
+
 @pytest.mark.parametrize("name", ["tracker", "particle"])
 def test_a_kidnapping_is_noticed_at_once_and_recovered_from(name: str) -> None:
     scans, features = log(), features_of(WORLD)
     chosen = make_filter(name, features, Options(), seed=1, find=found)
-    wrong = Kidnap(10.0, Pose2D(*scans.poses[2]))
-    moments = list(follow(features, scans, chosen, kidnap=wrong))
+    moments = carried_off(scans, chosen)
     away = errors(moments, scans)
     assert all(m.belief.verdict != "unique" for m, e in zip(moments, away, strict=True) if e > 1)
     assert max(away[18:]) < 0.5
@@ -192,10 +201,8 @@ def test_somebody_in_the_way_once_makes_no_robot_move() -> None:
 
 
 def test_without_resets_it_stays_where_it_believes_to_be() -> None:
-    scans, features = log(), features_of(WORLD)
-    tracker = tracker_of(resets=False)
-    wrong = Kidnap(10.0, Pose2D(*scans.poses[2]))
-    moments = list(follow(features, scans, tracker, kidnap=wrong))
+    scans = log()
+    moments = carried_off(scans, tracker_of(resets=False))
     assert errors(moments, scans)[-1] > 2
     assert moments[-1].belief.verdict == "lost"
 

@@ -17,7 +17,7 @@ ROOMS = ("search", "likelihoods", "filters", "answers", "choice")
 #: Constants that stay in the code, by why no measurement governs an answer through them.
 LEFT = {
     "how much is done at a time": (
-        "_CHUNK _PATHS _BAND_BYTES _GROUPS _TOGETHER _LOOKUPS _FEW _LOOKS _CHUNK_CELLS _FIRST_CELLS"
+        "_CHUNK _TOGETHER _LOOKUPS _FEW _LOOKS _CHUNK_CELLS _FIRST_CELLS"
         " _BLOCK BLOCK_PAIRS BLOCK_COLUMNS TILE_CELLS TILE_WIDTH CELLS"
     ),
     "which engine is the faster one": (
@@ -25,12 +25,10 @@ LEFT = {
         " DFT_SECONDS_PER_STEP DFT_SECONDS_PER_HEADING DFT_CACHE DFT_BEYOND_CACHE _ALIKE"
     ),
     "what a type of numbers holds": (
-        "_FULL _OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
+        "_OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
         " ALLOWED_ERROR _STEPS _MINUTE _erfc"
     ),
-    "a unit, a pattern, nothing at all": (
-        "_CM _QUARTERS _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"
-    ),
+    "a unit, a pattern, nothing at all": ("_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"),
     "a promise": "SCALES SHARES",
     "bounds of files, pictures, clocks": (
         "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"

@@ -64,7 +64,6 @@ OTHERS = (
         (lambda: Options(top=0), "Options.top: got 0, expected a whole number, 1 or more"),
         (lambda: Options(top=2.5), "Options.top: got 2.5, expected a whole number"),  # type: ignore[arg-type]
         (lambda: Options(threads=-1), "Options.threads: got -1"),
-        (lambda: Options(exact=1), "Options.exact: got 1, expected True or False"),  # type: ignore[arg-type]
         (lambda: Options(trust=None), "Options.trust: got None, expected Trust"),  # type: ignore[arg-type]
         (lambda: Shared(scale=0), "Shared.scale: got 0, expected a factor, 0.5 to 2"),
         (lambda: Shared(thinner=-1), "Shared.thinner: got -1, expected a whole number, cells"),

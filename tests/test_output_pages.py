@@ -381,13 +381,6 @@ def test_a_stack_is_its_own_picture(method: str) -> None:
     assert "nan" not in page.text
 
 
-def test_branch_and_bound_has_the_temperature_of_the_stack() -> None:
-    options = Options(method="cbml", exact=True)
-    text, page = page_of(features_of("curved"), scan_of("curved"), options)
-    assert "Logarithms of scores are divided by it" in page.text
-    assert ">nan<" not in text
-
-
 def test_an_answer_out_of_time_says_so(why) -> None:
     late = replace(why, answer=replace(why.answer, complete=False))
     assert "ran out of time" in Page(render_explanation(late, "x")).text

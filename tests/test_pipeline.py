@@ -288,5 +288,5 @@ def test_many_scans_are_answered_as_each_alone(options) -> None:
         assert to_json(rows[0]) == to_json(rows[1])
     with pytest.raises(TypeError, match="scan must be LaserScan"):
         list(localize_many(features, [scan, scan.ranges]))
-    with pytest.raises(ConfigError, match="exact"):
-        localize_many(features, [], Options("ght", exact=True))
+    with pytest.raises(ConfigError, match="time budget"):
+        localize_many(features, [], Options("ght", time_budget=1.0))

@@ -35,9 +35,7 @@ def double_wall():
 
 
 @pytest.mark.parametrize(
-    "options",
-    [Options("cbml", exact=True), Options("cbml"), Options("ght-v"), Options(exact=True)],
-    ids=["branch and bound", "cbml", "ght-v", "fused with branch and bound"],
+    "options", [Options("cbml"), Options("ght-v"), Options()], ids=["cbml", "ght-v", "fused"]
 )
 def test_a_shorter_list_is_the_start_of_a_longer_one(double_wall, options):
     features, scans = double_wall
@@ -49,36 +47,16 @@ def test_a_shorter_list_is_the_start_of_a_longer_one(double_wall, options):
         assert len(five.hypotheses) == 5
 
 
-def test_branch_and_bound_shares_by_calibrated_scores(double_wall):
-    features, scans = double_wall
-    sharp, flat = (
-        localize(
-            features,
-            scans[0],
-            Options("cbml", top=20, exact=True, calibration=Calibration(temperature=t)),
-        ).hypotheses
-        for t in (0.02, 1e6)
-    )
-    assert [h.pose for h in sharp] == [h.pose for h in flat]
-    mass = [h.mass for h in sharp]
-    assert mass == sorted(mass, reverse=True)
-    assert mass[0] > 2 * mass[4]
-    assert flat[0].mass == pytest.approx(flat[4].mass, rel=1e-3)
-    assert flat[0].mass <= 1 / 20  # of all that were looked for
-    nats = [h.log_likelihood for h in sharp]
-    assert np.exp(np.subtract(nats, nats[0])) == pytest.approx(np.divide(mass, mass[0]))
-
-
 # --- headings of the prior
 
 
-@pytest.mark.parametrize("method", ["ght-v", "cbml", "exact"])
+@pytest.mark.parametrize("method", ["ght-v", "cbml"])
 def test_a_heading_known_better_than_the_step_leaves_the_nearest_one(method):
     x, y, _ = POSES["curved"]
-    exact, step, right = method == "exact", np.deg2rad(8), POSES["curved"][2]
+    step, right = np.deg2rad(8), POSES["curved"][2]
     assert 0.1 < right / step % 1 < 0.9  # between two headings
-    options = Options("cbml" if exact else method, theta_step=step, exact=exact)
-    options = replace(options, prior=Prior(None, (right, np.deg2rad(0.5))))
+    prior = Prior(None, (right, np.deg2rad(0.5)))
+    options = Options(method, theta_step=step, prior=prior)
     known = localize(features_of("curved"), scan_of("curved"), options)
     assert abs(known.pose.theta - right) < step
     assert np.hypot(known.pose.x - x, known.pose.y - y) < 0.5
@@ -250,16 +228,6 @@ def test_the_page_says_that_directions_are_repeated():
 
 
 # --- what is recorded, and what is taken
-
-
-def test_the_headings_of_branch_and_bound_are_recorded():
-    features, scan = features_of("curved"), scan_of("curved")
-    step = np.deg2rad(6.0)
-    exact = localize(features, scan, Options(exact=True, theta_step=step)).parameters
-    assert exact["theta_step"] == step
-    default = localize(features, scan, Options(exact=True)).parameters
-    assert default["theta_step"] == pytest.approx(np.deg2rad(3.0))
-    assert "theta_step" not in localize(features, scan, Options(theta_step=step)).parameters
 
 
 def test_the_number_of_votes_is_part_of_the_estimate():

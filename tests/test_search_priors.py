@@ -160,14 +160,12 @@ def visibility():
     return prepare(grid), scans
 
 
-@pytest.mark.parametrize("method", [*ALL_METHODS, "exact"])
+@pytest.mark.parametrize("method", ALL_METHODS)
 def test_no_hypothesis_leaves_the_prior(visibility, method):
     features, scans = visibility
     x, y, theta = scans.poses[0]
     prior = Prior(near(features.grid.info, x, y, 1.5), (float(theta), 0.5))
-    exact = method == "exact"
-    options = Options("cbml" if exact else method, top=20, exact=exact, prior=prior)
-    answer = localize(features, scans[0], options)
+    answer = localize(features, scans[0], Options(method, top=20, prior=prior))
     poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses])
     assert len(poses)
     slack = Prior(near(features.grid.info, x, y, 1.7), (float(theta), 0.6))

@@ -58,7 +58,6 @@ from imgloc.likelihoods.correlate import ENGINES, EXACT, correlate
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, to_json
-from imgloc.search.branch_and_bound import best_poses
 from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import recorded_sets
 from tools.script import at_least_one, ended, one_of, parser_of, table_lines
@@ -68,8 +67,6 @@ PARTS = ("costs", "engines", "localize", "command", "huge")
 from a warm cache, and its batch with one worker and two; the largest map."""
 HUGE = 10_000
 """Cells of the largest map along a side."""
-BOUND_SCANS = 10
-"""Scans of branch and bound, which is faster or slower as they are more or less clear."""
 
 Row = Mapping[str, Any]
 
@@ -118,7 +115,7 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
         seen = [s for s in told.scans if scan_points(s.ranges, s.angles, s.valid).valid.any()]
         features, scan = prepare(grid), seen[0]
         timings = (
-            *in_turns(stack_cases(features, seen[:BOUND_SCANS], threads), repeats),
+            *in_turns(stack_cases(features, scan, threads), repeats),
             *in_turns(vote_cases(features, scan, threads), repeats),
         )
         out |= {
@@ -405,12 +402,15 @@ HEADINGS = 120
 PAIR_HEADINGS = 36
 
 
-def stack_cases(features: MapFeatures, scans: Sequence[LaserScan], threads: int) -> list[Case]:
-    """The stacks of CBML and CBML-O by every engine, and plain references; branch and bound."""
-    scan, every = scans[0], [scan_xy(s)[s.valid] for s in scans]
-    thetas, cell, xy = uniform_thetas(2 * np.pi / HEADINGS), features.lattice.resolution, every[0]
+def stack_cases(features: MapFeatures, scan: LaserScan, threads: int) -> list[Case]:
+    """The stacks of CBML and CBML-O by every engine, and plain references."""
+    thetas, cell, xy = (
+        uniform_thetas(2 * np.pi / HEADINGS),
+        features.lattice.resolution,
+        scan_xy(scan)[scan.valid],
+    )
     points = scan_points(scan.ranges, scan.angles, scan.valid)
-    image, vmap, pooled = features.bmap, features.vmap, features.pooled
+    image, vmap = features.bmap, features.vmap
     out = np.empty((HEADINGS, *image.shape), np.float32)
     plain = partial(cbml, image, xy, thetas, cell, out=out)
     oriented = partial(cbml_o, vmap, points, thetas, cell, projections=project(vmap), out=out)
@@ -431,8 +431,6 @@ def stack_cases(features: MapFeatures, scans: Sequence[LaserScan], threads: int)
         cases.append((f"cbml-o {more}", unit, work, partial(oriented, threads=threads)))
     best = partial(plain, where=features.free)
     cases.append(("cbml auto, free cells, argmax", unit, work, lambda: int(best().argmax())))
-    name, work = f"branch and bound, {len(scans)} scans", out.size * sum(map(len, every))
-    cases.append((name, unit, work, lambda: [best_poses(pooled, one, thetas) for one in every]))
     return cases
 
 

@@ -127,7 +127,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc track office.yaml run.log --tum out.tum --picture track.png",
         "imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl",
         "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
-        "imgloc track office.yaml log.npz --kidnap 60,12,3,1.5 --video out.webm",
+        "imgloc track office.yaml log.npz --video out.webm",
     ),
     node: (
         "imgloc node",

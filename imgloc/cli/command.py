@@ -45,6 +45,14 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "filters": ("--filter",),
     "index": ("--scans-index", "--maps-index"),
 }
+#: Options that are no more, and what does it now.
+GONE: Mapping[str, str] = {
+    "exact-argmax": "leave it out: --method cbml finds the maximum of the whole stack",
+    "kidnap": "python -m tools.sequences, in a checkout, tries robots that are carried off",
+    "simulate-odometry": "--odom scans takes the motion from the scans",
+    "sequence": "python -m tools.sequences, in a checkout, measures filters along a log",
+    "starts": "python -m tools.sequences, in a checkout, measures filters along a log",
+}
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
@@ -80,7 +88,7 @@ class Without(Only):
 
 
 class Command(TyperCommand):
-    """A command that tells the new name of an option by its old one; its help has groups."""
+    """A command that knows what its options were called before; its help has groups."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, the usual options, and the others by what they are about."""
@@ -112,7 +120,10 @@ class Command(TyperCommand):
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
-            names = RENAMED.get(old.removeprefix("--"), ())
+            name = old.removeprefix("--")
+            if old != name and name in GONE and old not in own:
+                raise ConfigError(f"{old}: is no option any more; {GONE[name]}")
+            names = RENAMED.get(name, ())
             new = next((name for name in names if name in own), None)
             if new is not None and old not in own:
                 raise ConfigError(f"{old}: expected {new}, which is its name now")

@@ -4,9 +4,9 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -15,14 +15,14 @@ from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.options import Drawn, Followed, Logs, Mounting, Options, Shared
-from imgloc.ranges import Checked, Within, option
-from imgloc.texts import numbers, pose
+from imgloc.ranges import Checked, option
+from imgloc.texts import pose
 
 if TYPE_CHECKING:
     from imgloc.cli.live import Live
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.belief import Filter
-    from imgloc.filters.follow import Kidnap, Moment, Tracking
+    from imgloc.filters.follow import Moment, Tracking
     from imgloc.filters.watch import Opinion
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, OccupancyGrid, Pose2D
@@ -125,13 +125,6 @@ class Asked(Checked):
         metavar="X,Y,YAW",
         parse=pose,
     )
-    kidnap: Any = option(
-        None,
-        "Trial: T seconds after the beginning the filter is made to believe in this pose, as if "
-        "the robot had been carried off.",
-        metavar="T,X,Y,YAW",
-        parse=lambda text: _kidnap(*numbers(4, angles=(3,))(text)),
-    )
     watch: Path | None = option(
         None,
         "Poses of another localizer, map frame, a TUM file: each line says whether the scans "
@@ -141,18 +134,6 @@ class Asked(Checked):
     follow: bool = option(
         False, "Go on with a file of lines that grows, .jsonl or .log, until Ctrl-C."
     )
-    simulate_odometry: Annotated[int | None, Within(0, 1e18, "")] = option(
-        None,
-        "Make odometry of the recorded poses, with noise and a bias drawn by this seed.",
-        metavar="SEED",
-    )
-
-
-def _kidnap(after: float, x: float, y: float, yaw: float) -> "Kidnap":
-    from imgloc.filters.follow import Kidnap
-    from imgloc.model import Pose2D
-
-    return Kidnap(after, Pose2D(x, y, yaw))
 
 
 def track(
@@ -215,7 +196,7 @@ def track(
     chosen = _made(tracking, features, options, map_name(map_path))
     run = follow(
         features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
-        start=asked.start, kidnap=asked.kidnap, name=inputs.name_of(log),
+        start=asked.start, name=inputs.name_of(log),
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
         title = f"{map_name(map_path)}: {inputs.name_of(log)}"
@@ -329,7 +310,6 @@ def _scans_of(
     import numpy as np
 
     from imgloc.cli.live import live_of
-    from imgloc.filters.follow import with_odometry
     from imgloc.io.scanset import ScanSet
     from imgloc.io.tum import load_tum
 
@@ -341,14 +321,10 @@ def _scans_of(
                 "--straighten: needs the odometry of a whole log, and these scans come while "
                 "imgloc runs; leave it out, or record them and pass the file"
             )
-        whole = {"--kidnap": asked.kidnap, "--simulate-odometry": asked.simulate_odometry,
-                 "--watch": asked.watch}  # fmt: skip
-        if wrong := next((name for name, value in whole.items() if value is not None), None):
-            raise ConfigError(f"{wrong}: needs a log that is whole, not one that is being written")
+        if asked.watch is not None:
+            raise ConfigError("--watch: needs a log that is whole, not one that is being written")
         return ScanSet(()), live, given
     scans = desk.scans(log, how).scans
-    if asked.simulate_odometry is not None:
-        scans = with_odometry(replace(scans, odom=None), asked.simulate_odometry)[0]
     if scans.stamps is None or not np.isfinite(scans.stamps).any():
         if (outputs.tum or outputs.truth) is not None:
             wrong = "--tum" if outputs.tum is not None else "--truth"

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.pyramid import default_top
 from imgloc.model import OccupancyGrid
 
 MIB = 1 << 20
@@ -168,17 +167,6 @@ def fused_bytes(
     votes = min(vote_cells, vote_headings * cells * resolution**2 / vote_cell**2)
     # Beside the votes: the finest level in a margin as wide as the map, for readings that long.
     return int(12 * coarse + _POSE * votes + 10 * cells) + _FIXED
-
-
-def exact_bytes(
-    shape: tuple[int, int], resolution: float, n_thetas: int, *, readings: int = 360
-) -> int:
-    """Peak of :func:`imgloc.search.branch_and_bound.best_poses` for one pose, and its maps."""
-    top = default_top(resolution)
-    blocks = -(-shape[0] >> top) * -(-shape[1] >> top)
-    # The maps with their margins twice, the bounds of all blocks, offsets of all readings.
-    maps = 2 * (top + 5) * shape[0] * shape[1]
-    return maps + n_thetas * (32 * blocks + 120 * readings) + _FIXED
 
 
 def scans_bytes(scans: int, numbers: int, file_bytes: int = 0, *, text: bool = False) -> int:

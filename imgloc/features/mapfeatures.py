@@ -26,10 +26,8 @@ from imgloc.features.fields import bmap, vmap
 from imgloc.features.gradients import SOURCES, vmap_of_image
 from imgloc.features.pyramid import (
     Level,
-    PooledMaps,
     any_of_blocks,
     coarse_info,
-    pooled_maps,
     pyramid,
 )
 from imgloc.features.raydistance import ray_distances
@@ -221,11 +219,6 @@ class MapFeatures:
         """Blurred map of CBML, (H, W) float32 in 0..1."""
         xy, lattice = self.surface.xy, self.lattice
         return read_only(bmap(xy, lattice.shape, lattice.resolution, self.sigma))
-
-    @cached_property
-    def pooled(self) -> PooledMaps:
-        """`bmap` max-pooled over blocks of free cells, for branch and bound."""
-        return pooled_maps(self.bmap, self.free, self.lattice.resolution, reach=self.max_range)
 
     @cached_property
     def vmap(self) -> Float32Array:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures, read_only
-from imgloc.features.pyramid import Level, PooledMaps, block_masks, default_top, margin_of
+from imgloc.features.pyramid import Level
 from imgloc.io import cache as entries
 from imgloc.io.files import PathLike
 from imgloc.model import OccupancyGrid, OrientedPoints
@@ -23,14 +23,13 @@ from imgloc.model import OccupancyGrid, OrientedPoints
 Array = npt.NDArray[Any]
 
 #: Features that are kept, those first that save most time per byte.
-KEPT = ("peeled", "surface", "visibility", "voters_visibility", "pyramid", "vmap", "pooled",
-        "walls", "field")  # fmt: skip
+KEPT = ("peeled", "surface", "visibility", "voters_visibility", "pyramid", "vmap", "walls",
+        "field")  # fmt: skip
 #: Bytes of an entry; what does not fit is computed anew each time.
 MAX_BYTES = 1 << 30
 
 _PARTS = {
     "surface": ("xy", "alpha", "sigma_alpha", "valid"),
-    "pooled": ("images", "coarse", "quads"),
 }
 _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 
@@ -144,20 +143,6 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
     if name == "field":
         table = _take(parts, "field", np.int16, (shape[0] * shape[1] + 1, 4))
         return DistanceField(table, *shape, features.grid.resolution)
-    if name == "pooled":
-        top = default_top(lattice.resolution)
-        margin = margin_of(lattice.shape, lattice.resolution, top, features.max_range)
-        side = 1 << top
-        phases = (side * side, -(-lattice.height // side) + 1, -(-lattice.width // side) + 1)
-        rows, columns = lattice.height + 2 * margin, lattice.width + margin
-        return PooledMaps(
-            _take(parts, "images", np.uint8, (top - 1, rows, columns)),
-            _take(parts, "coarse", np.uint8, phases),
-            _take(parts, "quads", np.uint32, phases),
-            tuple(read_only(mask) for mask in block_masks(features.free, top)),
-            margin,
-            lattice.resolution,
-        )
     return _take(parts, name, np.float32, shape if name == "walls" else (2, *lattice.shape))
 
 

@@ -47,15 +47,6 @@ _FARTHEST = 1e6  # metres between two scans: beyond it a number is damaged
 
 
 @dataclass(frozen=True)
-class Kidnap:
-    """A test: from a moment on the filter believes in `pose`, map frame, where the robot is not."""
-
-    after: float  #: seconds since the first scan
-    pose: Pose2D
-    deviation: tuple[float, float] = (0.1, 0.05)  #: standard deviations, metres and radians
-
-
-@dataclass(frozen=True)
 class Moment:
     """The belief after a scan.
 
@@ -126,7 +117,6 @@ def follow(
     limits: Limits | None = None,
     start: Pose2D | None = None,
     deviation: tuple[float, float] = DEVIATION,
-    kidnap: Kidnap | None = None,
     name: str = "log",
 ) -> Iterator[Moment]:
     """Drive a filter along a log: yield one moment for each scan, as soon as the scan is there.
@@ -153,8 +143,6 @@ def follow(
         Pose at the first scan, map frame. By default the robot may be anywhere.
     deviation : (float, float), optional
         Standard deviations of `start`, metres and radians.
-    kidnap : Kidnap, optional
-        A test: the filter is put at a wrong pose during the log.
     name : str
         Name of the log in error messages.
 
@@ -169,7 +157,7 @@ def follow(
         If the odometry is in millimetres, or stamps run backwards. A ScanSet is checked before its
         first moment.
     ConfigError
-        If `start` or `kidnap` is outside of the map, or `kidnap` outside of the log's time.
+        If `start` is outside of the map.
 
     Examples
     --------
@@ -183,20 +171,15 @@ def follow(
     """
     expect(features, MapFeatures, "features")
     if isinstance(scans, ScanSet):
-        readings = _whole(scans, features, kidnap, name)
+        readings = _whole(scans, name)
     else:
         expect(scans, ScanSet if not isinstance(scans, Iterable) else Iterable, "scans")
         readings = _coming(scans, name)
     follower = Follower(features, filter_, every=every, limits=limits, name=name)
     if start is not None:
         follower.place(start, deviation, "start")
-    begin = None
     for index, scan, odom, stamp in readings:
-        begin = stamp if begin is None else begin
-        carried = None
-        if kidnap is not None and stamp - begin >= kidnap.after:
-            carried, kidnap = kidnap, None
-        yield replace(follower.step(scan, odom, stamp, carried), index=index)
+        yield replace(follower.step(scan, odom, stamp), index=index)
 
 
 # Index, scan, odometry, stamp.
@@ -224,7 +207,7 @@ def _coming(scans: Iterable[Reading], name: str) -> _Steps:
         LOG.warning("%s: %d of %d scans have no odometry and were left out", name, left, index + 1)
 
 
-def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: str) -> _Steps:
+def _whole(scans: ScanSet, name: str) -> _Steps:
     """Yield scans with odometry, each with its index, after a check of the whole log."""
     by_scans = not moves(scans)
     if by_scans:
@@ -253,8 +236,6 @@ def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: s
     if (leaps := np.flatnonzero(~(way <= _FARTHEST))).size:
         _check_way(name, int(leaps[0]) + 1, float(way[leaps[0]]))
     _check_speed(name, way, seconds)
-    if kidnap is not None:
-        _check_kidnap(kidnap, features, stamps)
     poses = [None] * len(known) if by_scans else list(odom)
     return zip(indices, known.scans, poses, stamps.tolist(), strict=True)
 
@@ -336,13 +317,7 @@ class Follower:
         """The latest stamp, seconds; NaN if none is known."""
         return self._stamp
 
-    def step(
-        self,
-        scan: LaserScan,
-        odom: FloatArray | None,
-        stamp: float | None = None,
-        kidnap: Kidnap | None = None,
-    ) -> Moment:
+    def step(self, scan: LaserScan, odom: FloatArray | None, stamp: float | None = None) -> Moment:
         """Take a scan and the odometry's pose (3,) at its stamp: metres, metres, radians.
 
         Without odometry the scans alone tell the motion. `stamp` is in seconds, by default the
@@ -388,8 +363,6 @@ class Follower:
         self._stamp = stamp if np.isnan(stamp) else max(self._stamp, stamp)
         repeats = self._repeats[scan.laser]
         self._move(step, covariance, known=motion is None or not motion.lost)
-        if kidnap is not None:
-            self.place(kidnap.pose, kidnap.deviation, "kidnap")
         looked = self._take(scan, laser, repeats.since(scan), waited)
         repeats.believe(self.filter.belief)
         return self._moment(k, stamp, looked)
@@ -574,16 +547,6 @@ def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
         raise ConfigError("expected odometry, or the poses of the scans to make it of")
     odom = noisy_odometry(truth, np.random.default_rng(seed))
     return replace(scans, odom=odom), "of the poses, with noise and bias"
-
-
-def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> None:
-    """Raise a ConfigError for a kidnapping outside of the map or of the log's time."""
-    on_map("kidnap", kidnap.pose, features)
-    since = stamps - stamps[0]
-    latest = float(np.max(since, initial=-np.inf, where=np.isfinite(since)))
-    if not 0 <= kidnap.after <= latest:
-        log = f"0 to {latest:g} s of the log" if latest >= 0 else "a log with stamps"
-        raise ConfigError(f"kidnap: got {kidnap.after:g} s, expected {log}")
 
 
 def start_of(

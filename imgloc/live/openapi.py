@@ -73,7 +73,6 @@ LOCALIZE = (
     *DOUBTS,
     Parameter.of(opt.Options, "method", default=opt.FUSED), Parameter.of(opt.Options, "top"),
     Parameter.of(opt.Options, "theta_step", "theta_step_deg"),
-    Parameter("exact", "Search by branch and bound, for fused and cbml.", Flag(), False),
 )  # fmt: skip
 WHICH = (*_SCANS, _HEADING, _CLEARANCE)
 FIT = (

@@ -528,7 +528,7 @@ class Service:
         name, site = self._site(ask.values["map"])
         chosen, (scans, warnings), prior = await self._asked(ask, site)
         values = ask.values
-        step, keys = values["theta_step_deg"], ("method", "top", "exact")
+        step, keys = values["theta_step_deg"], ("method", "top")
         given = {key: values[key] for key in keys}
         options = replace(self.core.options, **given, prior=prior).stepped(
             None if step is None else math.radians(step)

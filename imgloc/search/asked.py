@@ -3,7 +3,7 @@
 from dataclasses import asdict, fields, replace
 
 from imgloc.errors import ConfigError, expect
-from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack_bytes
+from imgloc.features.budget import check_budget, fused_bytes, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import uniform_thetas
 from imgloc.options import DEFAULTS, FUSED, Options, Prior
@@ -24,8 +24,6 @@ def check_options(features: MapFeatures, options: Options) -> None:
     expect(options, Options, "options")
     if options.shared.thinner and not features.peels:
         raise ConfigError("`thinner`: the map is too large to make its walls thinner; expected 0")
-    if options.exact and options.method not in (FUSED, "cbml"):
-        raise ConfigError(f"the exact search is of cbml's score, not of {options.method}'s")
     if options.time_budget is not None and options.method != FUSED:
         raise ConfigError(f"a time budget is for the method {FUSED}, not for {options.method}")
     prior = options.prior.cells
@@ -36,7 +34,7 @@ def check_options(features: MapFeatures, options: Options) -> None:
         )
     if prior is not None and not (prior & features.standable).any():
         raise ConfigError("the prior leaves no cell of the map in which a sensor can be")
-    if options.exact or options.method == FUSED:
+    if options.method == FUSED:
         (height, width), cell = features.lattice.shape, features.lattice.resolution
         what = f"{options.method} on {height} x {width} cells of {cell:g} m"
         need = answer_bytes(features, options)
@@ -46,10 +44,9 @@ def check_options(features: MapFeatures, options: Options) -> None:
 def answer_bytes(features: MapFeatures, options: Options) -> int:
     """Bytes that :func:`imgloc.localize` needs at most, besides the map's features."""
     shape, cell = features.lattice.shape, features.lattice.resolution
-    exact = exact_bytes(shape, cell, len(options.thetas)) if options.exact else 0
     if options.method == FUSED:
         fused = options.fused
-        return exact + fused_bytes(
+        return fused_bytes(
             shape,
             cell,
             n_thetas=len(uniform_thetas(fused.theta_step)),
@@ -57,7 +54,7 @@ def answer_bytes(features: MapFeatures, options: Options) -> int:
             vote_headings=fused.vote_headings,
             vote_cells=fused.vote_cells,
         )
-    return exact or stack_bytes(
+    return stack_bytes(
         options.method, shape, len(options.thetas), threads=options.threads, n_rays=features.n_rays
     )
 
@@ -76,9 +73,7 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
         out["calibration"] = asdict(options.calibration or DEFAULTS[options.method])
         hidden.add("shared")  # no stack uses it
     else:
-        hidden |= {"engine", "calibration"}
-        if not options.exact:  # only branch and bound uses these headings
-            hidden.add("theta_step")
+        hidden |= {"engine", "calibration", "theta_step"}
     unsaid = ("grid", "memory_budget", "threads")
     about_map = {
         f.name: getattr(features, f.name) for f in fields(features) if f.name not in unsaid

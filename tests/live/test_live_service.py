@@ -95,8 +95,7 @@ def laser_scan(scans: Path, k: int) -> dict[str, Any]:
         (["--heading", "1", "--clearance", "0.2"], {"heading": "1", "clearance": 0.2}),
         (["--method", "cbml", "--theta-step-deg", "9", "--scans-index", "0"],
          {"method": "cbml", "theta_step_deg": 9, "index": "0"}),
-        (["--exact-argmax", "--scans-index", "2", "--flipped"],
-         {"exact": "true", "index": "2", "flipped": "true"}),
+        (["--scans-index", "2", "--flipped"], {"index": "2", "flipped": "true"}),
     ],
 )  # fmt: skip
 def test_an_answer_is_what_localize_prints(
