@@ -101,15 +101,14 @@ def test_no_option_has_two_meanings_or_an_old_name(words: str) -> None:
         (("batch", "maps", "--reach", "9"), "--range-max"),
         (("evaluate", "curved", "--methods=fused"), "--method"),
         (("calibrate", "curved", "--methods", "ght"), "--method"),
-        (("evaluate", "curved", "--sequence", "--filters", "grid"), "--filter"),
+        (("track", "curved", "a.npz", "--filters", "grid"), "--filter"),
         (("localize", "curved", "s.npz", "--index", "3"), "--scans-index"),
         (("which", "maps", "s.npz", "--index", "i.npz"), "--maps-index"),
     ],
 )
 def test_an_old_name_tells_the_new_one(words: tuple[str, ...], new: str) -> None:
     run = call(*words)
-    old = next(word for word in words if word.startswith("--") and word != "--sequence")
-    old = old.partition("=")[0]
+    old = next(word for word in words if word.startswith("--")).partition("=")[0]
     said = f"imgloc: error: {old}: expected {new}, which is its name now\n"
     assert (run.code, run.out, run.err) == (2, "", said)
 

@@ -1,4 +1,4 @@
-"""`imgloc track` and `imgloc evaluate --sequence`."""
+"""`imgloc track`."""
 
 import json
 import re

@@ -21,13 +21,13 @@ from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
-from imgloc.lab.sequences import Searches, piece
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Every, Options, Shared
 from imgloc.pipeline import prepare
 from imgloc.robot.lasers import Laser
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
+from tools.filters import Searches, piece
 
 WORLD = "visibility"
 

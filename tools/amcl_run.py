@@ -16,8 +16,8 @@ from imgloc.filters.follow import robot_poses
 from imgloc.filters.motion import compose_poses, increments, invert_poses, way_of
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.sequences import Run, driven
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+from tools.filters import Run, driven
 
 NAV2, SURE = 0.2, 0.005  #: noise of the motion, all five parameters: Nav2's, and for good odometry
 MOVED = (0.25, 0.2)  #: metres and radians after which Nav2 takes the next scan

@@ -20,10 +20,10 @@ from imgloc import Options, ScanSet, make_filter
 from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses
 from imgloc.io.files import write_text_atomic
-from imgloc.lab.sequences import INSIDE, WRONG, Run, Searches, drive, driven, piece
 from imgloc.model import LaserScan, Pose2D, to_json
 from imgloc.options import Every, Limits
 from imgloc.pipeline import prepare
+from tools.filters import INSIDE, WRONG, Run, Searches, drive, driven, piece
 from tools.script import parser_of, progress, table_lines
 from tools.sequences import KeptSearches, load_log
 

@@ -18,12 +18,12 @@ from skimage.graph import route_through_array
 from imgloc import Options, Picture, ScanSet, follow, make_filter, prepare, save_scans
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import centre_of, transform_poses
-from imgloc.lab.sequences import piece
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
 from imgloc.output.canvas import Image
 from imgloc.output.tracks import Video, draw_track
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
+from tools.filters import piece
 from tools.script import parser_of
 
 _ANGLES = np.deg2rad(np.arange(-90, 90.5, 1.0))

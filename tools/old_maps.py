@@ -28,12 +28,12 @@ from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses, with_odometry
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.calibrate import fit_along
-from imgloc.lab.sequences import Run, Searches, drive, driven, from_starts
 from imgloc.model import Pose2D
 from imgloc.options import TOLERANCES, Every, Shared
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import sample_set
 from tools.amcl_run import NAV2, SURE, missing, run_amcl
+from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.script import at_least_one, ended, parser_of, table_lines
 
 RIGHT = 1.0  # metres

@@ -12,7 +12,7 @@ poses against metres driven (``recall.png``), and a track of each log over its m
 import hashlib
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,10 @@ from imgloc.filters.evidence import Places
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
-from imgloc.lab.sequences import Searches, Trials, measure
-from imgloc.lab.tables import sequence_row
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
+from tools.filters import Searches, Trials, measure
 from tools.plots import blank
 from tools.script import parser_of, progress, table_lines
 
@@ -178,7 +177,8 @@ def measure_log(
         finally:  # who stops it goes on from there another day
             if isinstance(searches, KeptSearches):
                 searches.save()
-        yield sequence_row(folder.name, case.name, summary, {"odometry": odometry})
+        about = {"map": folder.name, "filter": case.name}
+        yield about | asdict(summary) | {"odometry": odometry}
 
 
 def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:

@@ -97,7 +97,6 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
         "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --method fused,ght-v",
         "imgloc evaluate curved --method ght,ght-v --theta-step-deg ght=10 --cell 0.2",
-        "imgloc evaluate office.yaml --scans log.npz --sequence --filter tracker,particle",
     ),
     behind("calibrate"): (
         "imgloc calibrate office.yaml",

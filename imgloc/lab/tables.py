@@ -2,11 +2,9 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 from imgloc.lab.calibrate import SharedFit
-from imgloc.lab.sequences import SequenceSummary
 from imgloc.numbers import number
 from imgloc.output.tables import as_plain, percent
 
@@ -153,53 +151,3 @@ def _share(share: Mapping[str, Any]) -> str:
 
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
-
-
-def sequence_row(
-    name: str, filter_: str, summary: SequenceSummary, about: Mapping[str, object]
-) -> dict[str, Any]:
-    """The row of `imgloc evaluate --sequence` of one log and filter."""
-    return {"map": name, "filter": filter_, **asdict(summary), **about}
-
-
-def sequence_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None) -> str:
-    """Two tables, as :func:`as_plain`: how a robot is found, and how it is kept."""
-    at = list(rows[0]["right"])
-    found, kept = [], []
-    for row in rows:
-        head = [str(row["map"]), str(row["filter"])]
-        found.append([
-            *head,
-            str(row["odometry"]),
-            str(row["runs"]),
-            *(f"{_rate(row['right'][m])} {_rate(row['stays'][m])} {_rate(row['published'][m])}"
-              for m in at),
-            f"{row['seconds']:.0f}",
-            f"{row['metres']:.1f}",
-            _rate(row["enm"]),
-            " ".join(_rate(share) for share in row["f3loc"].values()),
-        ])  # fmt: skip
-        kept.append([
-            *head,
-            f"{row['rmse'][0]:.3f}",
-            f"{math.degrees(row['rmse'][1]):.2f}",
-            _rate(row["inside"]),
-            f"{row['wrong']:.1f} of {row['total']:.0f}",
-            f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
-            f"{row['kidnap_metres']:.1f}",
-            f"{row['speed']:.1f}",
-        ])  # fmt: skip
-    first = (
-        "map", "filter", "odometry", "runs", *(f"{m} m: right stays unique" for m in at),
-        "s", "m", "ENM-MCL", "F3Loc 1 .5 .3 .2 m",
-    )  # fmt: skip
-    second = (
-        "map", "filter", "RMSE / m", "deg", "in 95 %", "s unique, wrong", "kidnapped: back",
-        "after m", "x real time",
-    )  # fmt: skip
-    tables = ((first, found, 3), (second, kept, 2))
-    return "\n".join(as_plain(names, cells, left=n, width=width) for names, cells, n in tables)
-
-
-def _rate(share: Mapping[str, Any]) -> str:
-    return "-" if not share["trials"] else f"{share['value']:.2f}"

@@ -13,13 +13,13 @@ from imgloc.filters.follow import with_odometry
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.sequences import Run, Searches, Trials, measure
 from imgloc.model import LaserScan
 from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools import blackouts, drive, old_maps, sequences
+from tools.filters import Run, Searches, Trials, measure
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 4.0))
 

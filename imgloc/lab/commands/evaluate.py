@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Given, Without
+from imgloc.cli.command import Without
 from imgloc.cli.console import emit, left_out, say, width
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display, is_there, map_name
 from imgloc.options import (
     ALL_METHODS,
-    FILTERS,
     TOLERANCES,
     Cell,
     Chosen,
@@ -23,7 +22,6 @@ from imgloc.options import (
     Logs,
     Mounting,
     Reach,
-    Resets,
     Seed,
     Sensor,
     Tolerance,
@@ -32,20 +30,10 @@ from imgloc.ranges import Within, option
 from imgloc.texts import metres_degrees, names
 
 _MAX_SCANS = 100_000
-_SCANS, _SEQUENCE = ("evaluate without --sequence",), ("evaluate --sequence",)
-#: Of which of the two options are that the other would not notice.
-_OF = {
-    **dict.fromkeys(("--method", "-n", "--tolerance", "--theta-step-deg", "--cell"), _SCANS),
-    **dict.fromkeys(("--floor", "--rays", "--fov-deg", "--sigma", "--outliers"), _SCANS),
-    **dict.fromkeys(("--dropped", "--clearance", "--scans-index", "--range-scale"), _SCANS),
-    **dict.fromkeys(("--sample", "--sample-seed"), _SCANS),
-    **dict.fromkeys(("--filter", "--starts", "--metres", "--resets"), _SEQUENCE),
-}
 
 
 def evaluate(
     *,
-    given: Given,
     maps: list[Path] = option(
         ...,
         "Maps: the YAML of map_server, an image with --resolution, or the name of a bundled map.",
@@ -93,22 +81,6 @@ def evaluate(
     floor: Annotated[float, Within(1e-12, 0.5, "a share")] = option(
         1e-3, "Share of a uniform density that is mixed into each posterior before S is taken."
     ),
-    sequence: bool = option(
-        False, "Follow the robot along each log from many starts, instead of scan by scan."
-    ),
-    filter_: tuple[str, ...] = option(
-        ("tracker",),
-        "Filters that follow the robot in a sequence, with commas between: some of "
-        f"{', '.join(FILTERS)}.",
-        "--filter",
-        metavar="NAMES",
-        parse=names(FILTERS),
-    ),
-    starts: Count = option(50, "Random starts in a sequence."),
-    metres: Annotated[float, Within(1, 1000, "metres")] = option(
-        15.0, "Way that the robot drives from each start in a sequence, metres."
-    ),
-    resets: Resets = True,
     as_json: opt.AsJson = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
@@ -127,19 +99,7 @@ def evaluate(
     from imgloc.lab.tables import evaluation_tables
     from imgloc.model import to_json
 
-    opt.refuse_others(given, _OF, set(_SEQUENCE if sequence else _SCANS))
     read = inputs.map_files(reading)
-    if sequence:
-        from imgloc.lab.commands.sequence import measure_sequences
-        from imgloc.lab.sequences import Trials
-
-        if scans is None or len(scans) != len(maps):
-            raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
-        measure_sequences(
-            maps, scans, filter_, Trials(starts, metres, seed=seed, resets=resets),
-            mounting, range_max, taken, read, as_json,
-        )  # fmt: skip
-        return
     steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
     cells = opt.for_each("cell", cell, method, Cell)
     _check_sources(maps, scans, count, chosen, sensor, mounting, range_scale)
@@ -217,7 +177,8 @@ def _check_sources(
         f"--scans: got {n} for {len(maps)} maps, expected one each": n != len(maps),
         "-n: recorded scans are not simulated; use --sample": count is not None,
         "--scans: options of a simulated sensor do not go with recorded scans": sensor != Sensor(),
-        "--sensor: only a --sequence has odometry of the robot": mounting.sensor is not None,
+        "--sensor: the poses of recorded scans are those of the sensor": mounting.sensor
+        is not None,
     }
     for message, wrong in (simulated if scans is None else recorded).items():
         if wrong:

@@ -7,7 +7,8 @@ from imgloc.errors import ConfigError
 from imgloc.filters.follow import with_odometry
 from imgloc.filters.motion import increments
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.sequences import (
+from imgloc.model import LaserScan
+from tools.filters import (
     Run,
     driven,
     for_good,
@@ -16,7 +17,6 @@ from imgloc.lab.sequences import (
     starts,
     summarise_runs,
 )
-from imgloc.model import LaserScan
 
 
 def line(n: int = 40, step: float = 0.5) -> ScanSet:
