@@ -9,27 +9,26 @@ from typing import Any
 _HOMES = {
     "imgloc.lab.atlas": "survey_part",
     "imgloc.lab.changes": "aging_hint",
-    "imgloc.lab.commands.align": "align",
-    "imgloc.lab.commands.atlas": "atlas",
-    "imgloc.lab.commands.calibrate": "calibrate",
-    "imgloc.lab.commands.changes": "changes",
-    "imgloc.lab.commands.evaluate": "evaluate",
     "imgloc.lab.grid": "GridFilter GridOptions",
     "imgloc.lab.particle": "ParticleFilter ParticleOptions",
-    "imgloc.lab.picture": "draw_aged draw_survey",
-    "imgloc.plans.command": "plan",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 
 
+#: Commands behind the wall by their names, and their functions.
+COMMANDS = {
+    "align": "imgloc.lab.commands.align:align",
+    "atlas": "imgloc.lab.commands.atlas:atlas",
+    "calibrate": "imgloc.lab.commands.calibrate:calibrate",
+    "changes": "imgloc.lab.commands.changes:changes",
+    "evaluate": "imgloc.lab.commands.evaluate:evaluate",
+    "plan": "imgloc.plans.command:plan",
+}
 #: Jobs of a batch by their names, and their classes.
 JOBS = {
     "localize": "imgloc.runs.localize:Localize",
-    "evaluate": "imgloc.lab.jobs:Evaluate",
     "check": "imgloc.runs.check:Check",
     "which": "imgloc.runs.which:Which",
-    "atlas": "imgloc.lab.jobs:Atlas",
-    "changes": "imgloc.lab.jobs:Aging",
 }
 
 
@@ -50,7 +49,7 @@ def behind(name: str) -> Any:
 
     Examples
     --------
-    >>> behind("plan").__module__
-    'imgloc.plans.command'
+    >>> behind("GridFilter").__module__
+    'imgloc.lab.grid'
     """
     return getattr(import_module(_HOME_OF[name]), name)

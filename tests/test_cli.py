@@ -21,6 +21,7 @@ from command import MAPS, ROOT, call, command, parsed, rows, spawn
 
 import imgloc
 from imgloc.__main__ import main as imgloc_command
+from imgloc.cli import app
 from imgloc.cli.app import program
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DEMO_MAPS
@@ -67,9 +68,15 @@ def test_help_has_examples_that_parse(words: list[str]) -> None:
         assert all(line.split()[0] == "imgloc" for line in lines)
 
 
+@pytest.mark.parametrize("name", [name for group in app._GROUPS.values() for name in group])
+def test_a_command_is_listed_by_its_first_sentence(name: str) -> None:
+    about, *_ = (app._COMMANDS | app._MAP | app._CACHE)[name]
+    assert " ".join((app.command_of(name).__doc__ or "").split()).startswith(about)
+
+
 def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic",
-             "imgloc.pipeline", "imgloc.lab.evaluation", "imgloc.plans.floorplan")  # fmt: skip
+             "imgloc.pipeline", "imgloc.plans", "imgloc.lab.evaluation")  # fmt: skip
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli.app import main\n"

@@ -287,17 +287,10 @@ def test_nothing_to_do_is_an_error(site: Path, maps, scans, job, said) -> None:
 # Jobs.
 
 
-@pytest.mark.parametrize("job", ["evaluate", "check", "which", "atlas", "changes"])
+@pytest.mark.parametrize("job", ["check", "which"])
 def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
-    scans = None if job in ("check", "atlas") else site / "scans" / "s0.npz"
-    options = {
-        "evaluate": {"method": "cbml", "cell": 0.2},
-        "check": {},
-        "which": {"cell": 0.2},
-        "atlas": {"step": 2.0, "headings": 1, "sensor": Sensor(rays=60)},
-        "changes": {},
-    }
-    what = make_job(job, pictures="all", **options[job])
+    scans = None if job == "check" else site / "scans" / "s0.npz"
+    what = make_job(job, pictures="all", **({} if job == "check" else {"cell": 0.2}))
     with ThreadPoolExecutor(1) as pool:
         out = tmp_path / "out"
         means = Means(drawings=DRAWINGS)
@@ -305,12 +298,10 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     assert found.statuses == {"ok": 1}, next(read_rows(out))["message"]
     (row,) = read_rows(out)
     (answer,) = row["answers"]
-    known = {"evaluate": "index", "check": "shares", "which": "maps", "atlas": "unique_area"}
-    known["changes"] = "gone_share"
-    assert known[job] in answer
-    for name in answer.get("pictures", ()):
+    assert {"check": "shares", "which": "maps"}[job] in answer
+    assert answer["pictures"]
+    for name in answer["pictures"]:
         assert (out / "pictures" / name).read_bytes().startswith(b"\x89PNG")
-    assert bool(answer.get("pictures")) == (job != "evaluate")
     assert "Answer by answer" in render_report(out)
     assert columns_of(out)["status"] == ["ok"]
 
@@ -336,16 +327,6 @@ def test_a_job_of_somebody_else_is_a_class_and_a_name(
     assert row["answers"] == [{"size": {"squares": pytest.approx(6.0)}, "unit": "squares"}]
     with pytest.raises(TypeError, match="cell"):
         make_job("area", cell=0.2)
-
-
-def test_fused_is_evaluated_with_the_step_that_was_asked_for(site: Path) -> None:
-    floor = (("post", site / "floors" / "post.yaml"),)
-    item = Item("post", "s0.npz", floor, site / "scans" / "s0.npz")
-    fine, coarse = (
-        answers(item, make_job("evaluate", theta_step=step, cell=0.2))[0]
-        for step in (None, np.pi / 2)
-    )
-    assert fine["index"]["value"] != coarse["index"]["value"]
 
 
 def test_a_worker_that_has_a_lossy_map_refuses_it_still(site: Path, tmp_path: Path) -> None:
@@ -417,11 +398,12 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("job", "words", "said"),
     [
-        ("check", ["--method", "cbml"], "--method: is for localize, evaluate"),
+        ("check", ["--method", "cbml"], "--method: is for localize, not for check"),
         ("check", ["--heading", "1"], "--heading: is for localize, which, not for check"),
         ("localize", ["--sure", "0.9"], "--sure: is for which, not for localize"),
-        ("localize", ["-n", "3"], "-n: is for evaluate without SCANS, not for localize"),
-        ("evaluate", ["--rays", "90"], "--rays: is for evaluate without SCANS, atlas, not for"),
+        ("evaluate", [], "--job: is no job any more; imgloc evaluate does it map by map"),
+        ("changes", [], "--job: is no job any more; imgloc map changes does it map by map"),
+        ("area", [], "--job: got 'area', expected one of localize, check, which"),
         ("which", ["--near", "1,2,3"], "--near: is for localize, not for which"),
         ("which", ["--method", "fused"], "--method: is for localize"),
     ],
@@ -516,7 +498,7 @@ def test_other_numbers_make_other_rows_of_the_jobs_that_use_them(
     asked = {f for p in paths if p.exists() for f in ASKS.findall(p.read_text("utf-8"))}
     # What is said beside the rows, and what options.py hands to another job.
     asked -= {"diagnose", "logcheck", "scanmotion"} | ({"choose"} if name != "which" else set())
-    asked -= {"changes"} if name != "changes" else set()
+    asked -= {"changes"}
     for number, one in list(numbers.NUMBERS.items()):
         value = tuple(2 * v for v in one.value) if isinstance(one.value, tuple) else one.value + 1
         with monkeypatch.context() as changed:

@@ -22,17 +22,12 @@ from imgloc.options import (
     Bytes,
     Cell,
     Chosen,
-    Count,
     Drawn,
-    Headings,
     Known,
     Logs,
     Mounting,
     Options,
     Reach,
-    Seed,
-    Sensor,
-    Spacing,
     Sure,
 )
 from imgloc.ranges import OneOf, Within, option
@@ -51,17 +46,11 @@ _FIELDS = {
     **dict.fromkeys(("topic", "range_scale", "flipped"), ("scans",)),
     **dict.fromkeys(("scans_index", "sample", "sample_seed"), ("scans",)),
     **dict.fromkeys(("max_bad", "straighten", "height", "odom"), ("scans",)),
-    **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped"), ("sensor",)),
-    **dict.fromkeys(("sensor", "range_max"), ("scans", "sensor")),
-    "n": ("count",),
-    "method": ("options", "method"),
-    "theta_step_deg": ("options", "theta_step"),
-    **dict.fromkeys(("top", "max_speed", "max_turn_deg"), ("options",)),
-    "near": ("known",),
+    **dict.fromkeys(("sensor", "range_max"), ("scans",)),
+    **dict.fromkeys(("method", "theta_step_deg", "top"), ("options",)),
+    **dict.fromkeys(("max_speed", "max_turn_deg"), ("options",)),
+    **dict.fromkeys(("near", "heading", "clearance"), ("known",)),
     **dict.fromkeys(("thinner", "bent"), ("drawn",)),
-    "heading": ("known",),
-    "clearance": ("known", "sensor"),
-    "tolerance": ("tolerance", "tolerances"),
 }
 
 
@@ -85,26 +74,18 @@ def batch(
     logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
     search: Annotated[Options, Only("method", "top", "theta_step", "max_speed", "max_turn")],
-    known: Annotated[Known, Without("clearance")],
+    known: Known,
     drawn: Drawn,
-    sensor: Annotated[Sensor, Without("range_max", "clearance", "mount")],
     scans: Path | None = option(None, "Folder tree of files of scans, or one file.", "[SCANS]"),
     job: Annotated[str, OneOf(*JOBS)] = option(
-        "localize", "Command whose work is done with each map and file of scans."
+        "localize",
+        "Command whose work is done with each map and file of scans.",
+        parse=lambda name: _job(name),
     ),
     cell: Cell = 0.1,
-    clearance: Annotated[float | None, Within(0, 1000, "metres")] = option(
-        None,
-        "Distance of the robot from walls and unknown space, metres: nearer poses are not "
-        "considered, or not simulated. [default: 0, or 0.3 if simulated]",
-    ),
     range_max: Reach | None = None,
     tolerance: opt.ToleranceOf = TOLERANCES[-1],
     sure: Sure = NAMED,
-    count: Count = option(100, "Scans that are simulated on each map.", "-n", "--count"),
-    seed: Seed = 0,
-    step: Spacing = 0.5,
-    headings: Headings = 4,
     pictures: Annotated[str, OneOf("none", "doubtful", "all")] = option(
         "none", "Answers of which pictures are kept."
     ),
@@ -147,28 +128,18 @@ def batch(
     from imgloc.runs.jobs import job_class
 
     kind = job_class(job)
-    _refuse(given, kind, scans is not None, maps)
-    laser = {"range_max": range_max, "clearance": clearance, "mount": mounting.sensor}
-    typed: dict[str, Any] = {name: value for name, value in laser.items() if value is not None}
+    _refuse(given, job)
     offered: dict[str, Any] = {
         "maps": inputs.map_files(reading, many=True),
         "scans": inputs.as_recorded(
             replace(logs, range_max=range_max), chosen, mounting, many=True
         ),
         "options": replace(search, theta_step=None).stepped(search.theta_step),
-        "method": search.method,
-        "theta_step": search.theta_step,
         "cell": cell,
-        "known": replace(known, clearance=clearance),
+        "known": known,
         "drawn": drawn,
         "tolerance": tolerance,
-        "tolerances": (*TOLERANCES, tolerance),
         "sure": sure,
-        "sensor": replace(sensor, **typed),
-        "count": count,
-        "seed": seed,
-        "step": step,
-        "headings": headings,
         "pictures": pictures,
     }
     names = {field.name for field in fields(kind)}
@@ -234,23 +205,25 @@ def _plan(
     return todo, said
 
 
-def _refuse(given: Given, kind: "type[Job]", with_scans: bool, maps: Path) -> None:
+def _job(name: str) -> str:
+    """The name of a job; a ConfigError that has the command of one that is no more."""
+    if name in (gone := {"evaluate": "evaluate", "atlas": "atlas", "changes": "map changes"}):
+        raise ConfigError(f"is no job any more; imgloc {gone[name]} does it map by map")
+    return name
+
+
+def _refuse(given: Given, job: str) -> None:
     """Refuse an option that is for other jobs alone."""
     from imgloc.runs.jobs import job_class
 
-    def ways_of(other: "type[Job]", option: str) -> list[str]:
-        wanted = {option} if option in other.refused else {*_FIELDS.get(option, (option,))}
-        return [way for way, names in other.ways().items() if names & wanted]
+    def notices(kind: "type[Job]", option: str) -> bool:
+        wanted = {*_FIELDS.get(option, (option,))}
+        return option not in kind.refused and any(f.name in wanted for f in fields(kind))
 
+    kinds = {name: job_class(name) for name in JOBS}
     named = {flag: flag.lstrip("-").replace("-", "_") for flag in given if flag.startswith("-")}
-    kinds = [job_class(job) for job in JOBS]
-    of = {flag: [w for one in kinds for w in ways_of(one, name)] for flag, name in named.items()}
-    ways = list(kind.ways())
-    if len(ways) > 1 and maps.suffix.lower() != ".csv":  # whose lines may have scans
-        ways = [
-            way for way in ways if way.endswith("with SCANS" if with_scans else "without SCANS")
-        ]
-    opt.refuse_others(given, {flag: theirs for flag, theirs in of.items() if theirs}, set(ways))
+    of = {flag: [k for k in kinds if notices(kinds[k], name)] for flag, name in named.items()}
+    opt.refuse_others(given, {flag: theirs for flag, theirs in of.items() if theirs}, {job})
 
 
 def _pool(

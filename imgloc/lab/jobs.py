@@ -1,7 +1,7 @@
-"""Jobs of measurements: ``evaluate`` on scans with known poses, ``atlas``, ``changes`` of a map."""
+"""What `imgloc evaluate` and `imgloc atlas` do with a map: open it, check it, measure."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,10 +17,7 @@ from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.atlas import AT_ONCE, MOST, TOP, Spot, atlas_poses, simulate_at, survey
-from imgloc.lab.atlas import summarise as summarise_atlas
-from imgloc.lab.changes import map_changes
 from imgloc.lab.evaluation import evaluate, method_options
-from imgloc.lab.located import placed
 from imgloc.lab.performance_index import FLOOR
 from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.options import (
@@ -35,10 +32,10 @@ from imgloc.options import (
     Tolerance,
 )
 from imgloc.pipeline import prepare
-from imgloc.ranges import OneOf, Within
-from imgloc.runs.jobs import LOCATING, Answer, Item, Job
+from imgloc.ranges import Checked, OneOf, Within
+from imgloc.runs.jobs import Item
 from imgloc.runs.localize import Localize
-from imgloc.runs.opening import LOG, Desk, ScanFiles
+from imgloc.runs.opening import LOG, Desk, MapFiles, ScanFiles
 from imgloc.simulation.scans import fine_image, is_world, simulate
 
 Source = dict[str, Any]
@@ -46,13 +43,10 @@ _EACH = 8  # poses that are worth a process
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(Job):
+class Evaluate(Checked):
     """Measure a method: with recorded scans whose poses are known, or with simulated ones."""
 
-    name = "evaluate"
-    with_scans = None
-    refused = frozenset({"pictures"})
-
+    maps: MapFiles = field(default_factory=MapFiles)  #: how the images of maps are read
     method: Annotated[str, OneOf(*ALL_METHODS)] = FUSED
     theta_step: Step | None = None  #: radians; None is that of the paper
     cell: Length = 0.1  #: side of a cell of the poses, metres
@@ -63,15 +57,8 @@ class Evaluate(Job):
     count: Count = 100
     seed: int = 0
 
-    @classmethod
-    def ways(cls) -> dict[str, set[str]]:
-        """Two ways: recorded scans with known poses, or simulated scans."""
-        (names,) = super().ways().values()
-        recorded = names - {"sensor", "count", "seed"}
-        return {f"{cls.name} with SCANS": recorded, f"{cls.name} without SCANS": names - {"scans"}}
-
-    def open(self, item: Item, desk: Desk) -> Iterator[Answer]:
-        """Read a map and the scans that are located on it, or simulate them."""
+    def open(self, item: Item, desk: Desk) -> Iterator[dict[str, Any]]:
+        """Read a map and the scans that are located on it, or simulate them; yield a row."""
         path, ((where, _),) = item.path, item.maps
         grid = desk.grid(path, self.maps, usable=True)
         options = method_options(self.method, self.theta_step, desk.threads)
@@ -129,7 +116,7 @@ class Evaluate(Job):
     def _measured(
         self, item: Item, desk: Desk, features: MapFeatures, trials: ScanSet, options: Options,
         source: Source,
-    ) -> Iterator[Answer]:  # fmt: skip
+    ) -> Iterator[dict[str, Any]]:  # fmt: skip
         with desk.progress(f"{item.map}: {self.method}", len(trials), lines=False) as advance:
             found = evaluate(
                 features,
@@ -140,19 +127,14 @@ class Evaluate(Job):
                 advance=advance,
             )
         LOG.info("%s: %s: S %.2f", item.map, self.method, found.summary.index.value)
-        short: Source = {"scans": item.scans}  # a batch says the rest of its parameters once
-        if item.scans_path is None:
-            short = {"simulated": self.count, "seed": self.seed}
-        yield Answer(row=found.as_row(item.map, source), of=found, beside={"source": short})
+        yield found.as_row(item.map, source)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Atlas(Job):
+class Atlas(Checked):
     """Simulate a scan at each place and heading of a map, and see where one is enough."""
 
-    name = "atlas"
-    with_scans = False
-
+    maps: MapFiles = field(default_factory=MapFiles)  #: how the images of maps are read
     sensor: Sensor = field(default_factory=Sensor)
     step: Length = 0.5  #: between the places, metres
     headings: Count = 4  #: at each of them
@@ -185,7 +167,7 @@ class Atlas(Job):
 
 @dataclass(frozen=True, eq=False)
 class Surveying:
-    """A map whose poses are located while the answer is iterated."""
+    """A map and the poses that are located on it."""
 
     job: Atlas
     path: Path
@@ -200,34 +182,3 @@ class Surveying:
         scans = simulate_at(self.grid, self.poses, self.job.sensor, self.job.seed, fine)[begin:]
         workers = min(self.workers, max(1, len(scans) // _EACH))
         return survey(self.grid, scans, self.options, workers=workers)
-
-    def answer(self, spots: Sequence[Spot]) -> Answer:
-        """The answer that sums up all spots."""
-        drawn = "atlas", self.grid, spots, self.job.step, self.job.headings
-        row = summarise_atlas(spots, self.job.step)
-        return Answer(row=row, of=spots, doubtful=True, drawn=drawn)
-
-    def __iter__(self) -> Iterator[Answer]:
-        yield self.answer(list(self.spots()))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Aging(Job):
-    """Locate the scans of a file, and see where the map has aged since it was made."""
-
-    name = "changes"
-    decided_by = LOCATING | {"changes"}
-
-    scans: ScanFiles = field(default_factory=ScanFiles)
-
-    def open(self, item: Item, desk: Desk) -> Iterator[Answer]:
-        """Read the scans and the map of an item; there is one answer."""
-        run = Localize(maps=self.maps, scans=self.scans).open(item, desk)
-        located = list(run)
-        sure = placed(located)
-        found = map_changes(run.features.grid, sure.scans, sure.poses)
-        row = {"given": len(located), **found.as_row()}
-        row["sure"] = row.pop("scans")  # which is the file of an item
-        yield Answer(
-            row=row, of=found, doubtful=bool(found.pieces), drawn=("changes", found)
-        )  # fmt: skip

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from imgloc.geometry import in_grid_frame
-from imgloc.io.images import encode_picture
 from imgloc.lab.atlas import Spot
 from imgloc.lab.changes import Changes
 from imgloc.model import OccupancyGrid, Pose2D
@@ -84,13 +83,6 @@ def draw_atlas(
     return finished(canvas, grid, title, entries)
 
 
-def draw_survey(
-    grid: OccupancyGrid, spots: Sequence[Spot], step: float, headings: int
-) -> dict[str, bytes]:
-    """Where on a map one scan is enough."""
-    return {"atlas": encode_picture(draw_atlas(grid, spots, step=step, headings=headings))}
-
-
 GONE, NEW = (0, 94, 213), (178, 114, 0)
 
 
@@ -125,8 +117,3 @@ def draw_changes(changes: Changes, title: str = "") -> Image:
     ]
     title = title or f"What has changed, by {changes.seen.scans} scans with a sure pose"
     return finished(canvas, grid, title, entries)
-
-
-def draw_aged(changes: Changes) -> dict[str, bytes]:
-    """Where a map has aged."""
-    return {"changes": encode_picture(draw_changes(changes))}

@@ -1,12 +1,9 @@
-"""Pictures of a batch, as PNGs: what its workers draw of answers, maps and atlases."""
+"""Pictures of a batch, as PNGs: what its workers draw of answers and maps."""
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 from imgloc.answers.explain import explain, layers_of
-from imgloc.doors import behind
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
 from imgloc.io.maps import load_map
@@ -54,15 +51,7 @@ def draw_checked(path: Path, reading: Reading) -> dict[str, bytes]:
     return {"map": encode_picture(draw_map(load_map(path, allow_lossy=True, **reading)))}
 
 
-def draw_behind(name: str, *what: Any) -> Mapping[str, bytes]:
-    """What a job of a room behind the wall draws."""
-    drawn: Mapping[str, bytes] = behind(name)(*what)
-    return drawn
-
-
 DRAWINGS: Mapping[str, Drawing] = {
     "answer": draw_answer,
     "map": draw_checked,
-    "atlas": partial(draw_behind, "draw_survey"),
-    "changes": partial(draw_behind, "draw_aged"),
 }

@@ -93,14 +93,6 @@ _ANSWERS: Mapping[str, tuple[Column, ...]] = {
         Column("none", "none of them", 1, "%"),
         Column("ms", "time", 0, "ms"),
     ),
-    "evaluate": (
-        Column("method", "method"),
-        Column("trials", "scans", 0),
-        Column("index", "S", 2, "nats", "index.value"),
-        Column("right", "right", 1, "%", "success.-1.at_1.value"),
-        Column("wrong", "unique, wrong", 1, "%", "success.-1.unique_wrong.value"),
-        Column("error", "median error", 3, "m", "position.p50"),
-    ),
     "check": (
         Column("width", "width", 0, "cells"),
         Column("height", "height", 0, "cells"),
@@ -108,20 +100,6 @@ _ANSWERS: Mapping[str, tuple[Column, ...]] = {
         Column("area", "free", 1, "m²", "free_area"),
         Column("warnings", "warnings", 0, at=lambda answer: len(answer["warnings"])),
         Column("codes", "what", at=lambda answer: ", ".join(w["code"] for w in answer["warnings"])),
-    ),
-    "atlas": (
-        Column("places", "places", 0),
-        Column("unique", "unique", 1, "%", "unique.value"),
-        Column("ambiguous", "ambiguous", 1, "%", "ambiguous.value"),
-        Column("wrong", "wrong", 1, "%", "wrong.value"),
-        Column("area", "one scan is enough", 1, "% of the area", "unique_area.value"),
-    ),
-    "changes": (
-        Column("gone", "walls gone", 1, "%", "gone_share"),
-        Column("seen", "walls seen", 0, "m", "seen_m"),
-        Column("new", "new", 1, "m²", "new_m2"),
-        Column("sure", "scans with a sure pose", 0),
-        Column("given", "scans", 0),
     ),
 }
 _ITEM = (Column("map", "map"), Column("scans", "scans"), Column("k", "scan", 0))

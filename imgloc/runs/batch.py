@@ -470,7 +470,7 @@ def find_items(
                 f"{display(maps)}: its pairs name the scans, expected no other file of scans"
             )
         return _pairs(maps, job)
-    if scans is not None and job.with_scans is False:
+    if scans is not None and not job.with_scans:
         raise ConfigError(f"the job {job.name} looks at maps alone: expected no scans")
     if scans is None and job.with_scans:
         raise ConfigError(f"the job {job.name} needs scans: a file, or a folder of them")
@@ -540,7 +540,7 @@ def _pairs(path: Path, job: Job) -> list[Item]:
         map_name, scans = row["map"], row.get("scans") or None
         if not map_name or (scans is None and "scans" in columns):
             raise ConfigError(f"{name}: line {line}: expected a map and scans")
-        if job.with_scans is False:
+        if not job.with_scans:
             scans = None
         at = beside(path, map_name, MapError)
         taken = None if scans is None else beside(path, scans, ScanError)

@@ -10,7 +10,7 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -81,8 +81,7 @@ class Job(Checked, ABC):
     """What is done with each item, and everything that decides its rows."""
 
     name: ClassVar[str]
-    #: whether it needs scans; None is with them or without
-    with_scans: ClassVar[bool | None] = True
+    with_scans: ClassVar[bool] = True  #: whether it needs scans
     all_maps: ClassVar[bool] = False  #: whether an item has all maps, not one of them
     decided_by: ClassVar[frozenset[str]] = LOCATING  #: families of numbers that decide its rows
 
@@ -102,11 +101,6 @@ class Job(Checked, ABC):
         ImglocError
             If a file, or what is to be done with it, is at fault.
         """
-
-    @classmethod
-    def ways(cls) -> dict[str, set[str]]:
-        """What it does, in words, and the fields that count then."""
-        return {cls.name: {f.name for f in fields(cls)} - cls.refused}
 
     @cached_property
     def digest(self) -> str:

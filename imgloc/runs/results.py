@@ -37,7 +37,6 @@ _MAX_ROW = 1 << 30  # bytes of a row: a scan takes two thousand
 _PART = 1 << 20  # bytes of a row that are read at a time
 _HELD = re.compile(rb"(\d{1,20}\n)?")
 _MAYBE = (float, None)
-_SHARE = {"value": _MAYBE}
 _POSE = {"x": float, "y": float, "theta": float}
 #: of a picture, within the folder of pictures: another place would be taken into a page
 _PICTURE = re.compile(r"[\w.-]+\.png", re.ASCII)
@@ -65,17 +64,9 @@ _ANSWERS: Mapping[str, Mapping[str, Any]] = {
         **_ANSWER, "index": int, "verdict": str, "none": _MAYBE,
         "maps": [{"map": str, "probability": _MAYBE}],
     },
-    "evaluate": {
-        **_ANSWER, "method": str, "trials": int, "index": _SHARE, "position": {"p50": _MAYBE},
-        "success": [{"at_1": _SHARE, "unique_wrong": _SHARE}],
-    },
     "check": {
         **_ANSWER, "width": int, "height": int, "resolution": _MAYBE, "free_area": _MAYBE,
         "warnings": [{"code": str}],
-    },
-    "atlas": {
-        **_ANSWER, "places": int, "unique": _SHARE, "ambiguous": _SHARE, "wrong": _SHARE,
-        "unique_area": _SHARE,
     },
 }  # fmt: skip
 #: what a row has, whatever became of its item; and by the job

@@ -199,8 +199,8 @@ def logs(moved, tmp_path, monkeypatch):
         save_scans(f"logs/{name}.npz", ScanSet(tuple(some)))
 
 
-def batch(*options: object, job: str = "localize") -> None:
-    given = ("batch", "old.yaml", "logs", "--job", job, "--workers", 1, "--no-cache")
+def batch(*options: object) -> None:
+    given = ("batch", "old.yaml", "logs", "--workers", 1, "--no-cache")
     done = call(*given, "--out", "done", *options)
     assert done.code == 0, done.err
 
@@ -291,6 +291,7 @@ def test_a_batch_that_does_not_fit_is_refused_by_one_error(logs, moved):
 
 
 def test_a_batch_of_another_job_is_refused(logs):
-    batch(job="changes")
+    made = ("batch", "old.yaml", "--job", "check", "--workers", 1, "--out", "done")
+    assert call(*made).code == 0
     found = call("map", "changes", "old.yaml", "done")
-    assert (found.code, "a batch of the job changes, expected localize" in found.err) == (2, True)
+    assert (found.code, "a batch of the job check, expected localize" in found.err) == (2, True)

@@ -36,7 +36,7 @@ def atlas(
     """
     from imgloc.cli import inputs
     from imgloc.io.cache import cache_key
-    from imgloc.lab.atlas import MOST, Spot
+    from imgloc.lab.atlas import MOST, Spot, summarise
     from imgloc.lab.atlas_rows import Journal, as_csv
     from imgloc.lab.jobs import Atlas
     from imgloc.lab.picture import draw_atlas
@@ -76,5 +76,5 @@ def atlas(
         write_text_atomic(csv, as_csv(journal.rows), force=force)
     picture.save(out, force=force)
     journal.remove()
-    summary = found.answer(spots).row | about
+    summary = summarise(spots, step) | about
     emit(to_json(summary) if as_json else atlas_text(summary))

@@ -129,10 +129,10 @@ def evaluate(
             item = inputs.item_of(path, None if scans is None else scans[k], name)
             desk = inputs.desk_of(**vars(taken))
             # All of them are opened before the first one takes its time.
-            for answer in itertools.chain.from_iterable([job.open(item, desk) for job in jobs]):
-                table.append(answer.row)
+            for row in itertools.chain.from_iterable([job.open(item, desk) for job in jobs]):
+                table.append(row)
                 if as_json:
-                    emit(to_json(answer.row))
+                    emit(to_json(row))
             if scans is not None and not any(map(_works, table[-len(jobs) :])):
                 notes += jobs[0].doubts(item, desk)
     if not as_json:
