@@ -591,13 +591,6 @@ Spacing = Annotated[
     float, Within(0.02, 1000, "metres"), Option("Distance between the places of an atlas, metres.")
 ]
 Headings = Annotated[int, Within(1, 72, ""), Option("Headings at each place of an atlas.")]
-Resets = Annotated[
-    bool,
-    Option(
-        "Draw new places from p(x | z) when the robot is lost. [default: --resets]",
-        "--resets/--no-resets",
-    ),
-]
 Flipped = Annotated[bool, Option("The sensor is mounted upside down: its angles run clockwise.")]
 NAMED: float = number("choose.sure")
 """Probability that a map needs to be named, unless another one is asked for."""
@@ -940,5 +933,4 @@ class Followed(Checked):
         metavar="M,DEG",
         parse=lambda text: Limits(*metres_degrees(text)),
     )
-    resets: Resets = True
     seed: Seed = 0

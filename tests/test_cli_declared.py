@@ -14,6 +14,7 @@ import pytest
 import typer
 from command import MAPS, ROOT, call
 
+from imgloc.cli import app
 from imgloc.cli.app import program
 from imgloc.cli.command import RENAMED, Only, Without, command, value_of
 from imgloc.errors import ConfigError
@@ -199,3 +200,14 @@ def test_all_methods_are_measured_by_name() -> None:
     run = call("evaluate", "curved", "--method", "fused,sift")
     names = ",".join(ALL_METHODS)
     assert run.err == f"imgloc: error: --method: got 'sift', expected {names} or some of them\n"
+
+
+def test_each_option_is_in_a_guide_or_an_example() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "tools" / "docs").glob("*.md")]
+    lines = [" ".join(lines) for group in app._GROUPS.values() for lines in group.values()]
+    text = "\n".join([*(page.read_text("utf-8") for page in pages), *lines])
+    ours = {param.opts[0] for one in COMMANDS.values() for param in one.params
+            if param.opts[0].startswith("--")} - {"--version"}  # fmt: skip
+    known = {*re.findall(r"--[a-z][a-z-]+", text)}
+    known |= {f"--{name.replace('_', '-')}" for name in re.findall(r"`([a-z_]+)`", text)}
+    assert sorted(ours - known) == []

@@ -46,6 +46,19 @@ def test_check_strict_exits_with_3_only_on_warnings(grey: Path) -> None:
     )
 
 
+def test_what_reads_a_map_is_written_into_a_yaml(grey: Path, tmp_path: Path) -> None:
+    given = ("--origin", "3,1,90deg", "--negate", "--free-thresh", 0.3, "--mode", "scale")
+    run = call("map", "check", grey, *given, "--json", "--write", tmp_path / "read.yaml")
+    (row,) = rows(run.out)
+    (again,) = rows(call("map", "check", tmp_path / "read.yaml", "--json").out)
+    assert row.pop("origin") == pytest.approx(again.pop("origin"), abs=1e-6)
+    assert row == again
+    assert call("map", "check", grey, "--write", tmp_path / "read.yaml").code == 1
+    assert call("map", "check", grey, "--write", grey, "--force").code == 1
+    run = call("simulate", grey, "--negate", "--out", tmp_path / "a.npz")
+    assert (run.code, "imgloc map check MAP with it" in run.err) == (2, True)
+
+
 def test_check_and_show_work_without_walls(tmp_path: Path) -> None:
     image = tmp_path / "blank.png"
     image.write_bytes(cv2.imencode(".png", np.full((20, 20), 254, np.uint8))[1].tobytes())

@@ -167,6 +167,7 @@ _MAP: Mapping[str, tuple[str, ...]] = {
         "Report what is in a map, and what is likely to be wrong with it.",
         "imgloc map check office.yaml",
         "imgloc map check a.yaml --json",
+        "imgloc map check office.png --resolution 0.05 --negate --write office-read.yaml",
     ),
     "show": (
         "Draw a map, or what is computed from it, into a PNG.",

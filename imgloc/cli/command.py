@@ -45,12 +45,14 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "filters": ("--filter",),
     "index": ("--scans-index", "--maps-index"),
 }
-#: Options that are no more, and what does it now.
+_IN_YAML = "imgloc map check MAP with it and with --write YAML makes a YAML that has it"
+#: Options that a command has not, or not any more, and what does it now.
 GONE: Mapping[str, str] = {
     "exact-argmax": "leave it out: --method cbml finds the maximum of the whole stack",
     "kidnap": "python -m tools.sequences, in a checkout, tries robots that are carried off",
     "simulate-odometry": "--odom scans takes the motion from the scans",
     "sequence": "python -m tools.sequences, in a checkout, measures filters along a log",
+    **dict.fromkeys(("mode", "occupied-thresh", "free-thresh", "negate", "no-negate"), _IN_YAML),
     "starts": "python -m tools.sequences, in a checkout, measures filters along a log",
 }
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
@@ -122,7 +124,7 @@ class Command(TyperCommand):
             old = word.partition("=")[0]
             name = old.removeprefix("--")
             if old != name and name in GONE and old not in own:
-                raise ConfigError(f"{old}: is no option any more; {GONE[name]}")
+                raise ConfigError(f"{old}: is no option here; {GONE[name]}")
             names = RENAMED.get(name, ())
             new = next((name for name in names if name in own), None)
             if new is not None and old not in own:

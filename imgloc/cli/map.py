@@ -9,7 +9,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.command import Without
 from imgloc.cli.console import emit, say
 from imgloc.errors import ConfigError, MapError
-from imgloc.io.files import display, map_name
+from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.options import METHODS, Chosen, MemoryBudget, Millimetres, Options
 from imgloc.ranges import OneOf, Within, option
 from imgloc.texts import numbers
@@ -23,7 +23,13 @@ def check(
     reading: Annotated[opt.MapImages, Without("allow_lossy")],
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 3 if there is any warning."),
+    write: Path | None = option(
+        None,
+        "Write a YAML that reads the map as it is read here. --semantics is no key of a YAML.",
+        metavar="YAML",
+    ),
     memory_budget: MemoryBudget | None = None,
+    force: opt.Force = False,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
 
@@ -31,13 +37,20 @@ def check(
     exits with 3.
     """
     from imgloc.cli import inputs
+    from imgloc.io.maps import resolve_settings, yaml_text
     from imgloc.model import to_json
     from imgloc.output.tables import report_text
     from imgloc.runs.check import Check
 
+    inputs.check_target(write, ".yaml", force=force, inputs=inputs.files_of(map_path))
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
-    (answer,) = Check(maps=inputs.map_files(reading)).open(inputs.item_of(map_path), desk)
+    job = Check(maps=inputs.map_files(reading))
+    (answer,) = job.open(inputs.item_of(map_path), desk)
     emit(to_json(answer.row) if as_json else report_text(answer.of))
+    if write is not None:
+        settings = resolve_settings(map_path, **job.maps.reading)
+        write_text_atomic(write, yaml_text(settings, write.parent), force=force)
+        say(f"wrote {display(write)}")
     if strict and answer.doubtful:
         raise typer.Exit(MapError.exit_code)
 

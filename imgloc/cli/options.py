@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from imgloc.cli.command import Given, value_of
+from imgloc.cli.command import Given, Without, value_of
 from imgloc.errors import ConfigError
 from imgloc.options import Count, MemoryBudget, Reading, Tolerance
 from imgloc.ranges import Option, declaration, option
@@ -145,6 +145,10 @@ class MapImages(Reading, total=False):
     """How the images of maps are read."""
 
     allow_lossy: Annotated[bool, Option("Accept a map image with lossy compression, such as JPEG.")]
+
+
+#: Where the map's YAML has the other options; `imgloc map check --write` puts them there.
+MapFrame = Annotated[MapImages, Without("mode", "occupied_thresh", "free_thresh", "negate")]
 
 
 def for_each(

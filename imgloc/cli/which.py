@@ -24,7 +24,7 @@ def which(
         "MAPS_DIR",
     ),
     known: Annotated[Known, Without("near")],
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     logs: Logs,
     taken: opt.Resources,
     scans_path: Path | None = option(

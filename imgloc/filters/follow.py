@@ -105,7 +105,7 @@ class Tracking(Followed):
 
     def made(self, features: MapFeatures, options: Options) -> Filter:
         """Make a filter that has seen nothing yet."""
-        return make_filter(self.filter, features, options, seed=self.seed, resets=self.resets)
+        return make_filter(self.filter, features, options, seed=self.seed)
 
 
 def follow(

@@ -356,6 +356,21 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
     return png
 
 
+def yaml_text(settings: MapSettings, folder: Path) -> str:
+    """The YAML, for a file in a folder, by which map_server reads an image as `settings` say."""
+    origin = settings.origin
+    said = {
+        "image": Path(os.path.relpath(settings.image, folder)).as_posix(),
+        "resolution": settings.resolution,
+        "origin": [round(v, 6) for v in (origin.x, origin.y, origin.theta)],
+        "negate": int(settings.negate),
+        "occupied_thresh": settings.occupied_thresh,
+        "free_thresh": settings.free_thresh,
+        "mode": settings.mode,
+    }
+    return str(yaml.safe_dump(said, sort_keys=False, allow_unicode=True))
+
+
 def bundled_maps() -> Path:
     """Folder of the maps that come with imgloc; MapError if the installation lacks them."""
     package = Path(str(files("imgloc")))

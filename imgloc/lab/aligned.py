@@ -3,20 +3,18 @@
 import csv
 import io
 import math
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
 from imgloc.geometry import cell_of, inside, rotation, transform_points
 from imgloc.io.files import display, read_file
-from imgloc.io.maps import MapSettings
+from imgloc.io.maps import MapSettings, yaml_text
 from imgloc.lab.align import SCALES, Alignment
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.output.axes import finished
@@ -169,17 +167,8 @@ def moved_yaml(settings: MapSettings, found: Alignment, folder: Path) -> str:
         raise ConfigError("expected maps that match")
     corner = settings.origin
     scaled = Pose2D(place.scale * corner.x, place.scale * corner.y, corner.theta)
-    origin = compose(place.pose, scaled)
-    said = {
-        "image": Path(os.path.relpath(settings.image, folder)).as_posix(),
-        "resolution": place.scale * settings.resolution,
-        "origin": [round(v, 6) for v in (origin.x, origin.y, origin.theta)],
-        "negate": int(settings.negate),
-        "occupied_thresh": settings.occupied_thresh,
-        "free_thresh": settings.free_thresh,
-        "mode": settings.mode,
-    }
-    return str(yaml.safe_dump(said, sort_keys=False, allow_unicode=True))
+    resolution, origin = place.scale * settings.resolution, compose(place.pose, scaled)
+    return yaml_text(replace(settings, resolution=resolution, origin=origin), folder)
 
 
 def draw_alignment(

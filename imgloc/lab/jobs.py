@@ -18,7 +18,6 @@ from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.atlas import AT_ONCE, MOST, TOP, Spot, atlas_poses, simulate_at, survey
 from imgloc.lab.evaluation import evaluate, method_options
-from imgloc.lab.performance_index import FLOOR
 from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.options import (
     ALL_METHODS,
@@ -32,7 +31,7 @@ from imgloc.options import (
     Tolerance,
 )
 from imgloc.pipeline import prepare
-from imgloc.ranges import Checked, OneOf, Within
+from imgloc.ranges import Checked, OneOf
 from imgloc.runs.jobs import Item
 from imgloc.runs.localize import Localize
 from imgloc.runs.opening import LOG, Desk, MapFiles, ScanFiles
@@ -51,7 +50,6 @@ class Evaluate(Checked):
     theta_step: Step | None = None  #: radians; None is that of the paper
     cell: Length = 0.1  #: side of a cell of the poses, metres
     tolerances: tuple[Tolerance, ...] = TOLERANCES  #: how near to a known pose an answer is right
-    floor: Annotated[float, Within(1e-12, 0.5, "a share")] = FLOOR
     scans: ScanFiles = field(default_factory=ScanFiles)
     sensor: Sensor = field(default_factory=Sensor)  #: sensor of simulated scans
     count: Count = 100
@@ -123,7 +121,6 @@ class Evaluate(Checked):
                 trials,
                 options,
                 tolerances=self.tolerances,
-                floor=self.floor,
                 advance=advance,
             )
         LOG.info("%s: %s: S %.2f", item.map, self.method, found.summary.index.value)

@@ -74,11 +74,10 @@ def test_the_same_seed_the_same_bytes_for_every_number_of_threads(office: Path) 
 
 def test_a_dry_run_stores_nothing(office: Path) -> None:
     before = sorted(office.parent.iterdir())
-    words = ("--method", "ght,beam", "--cell", 0.2, "--theta-step-deg", 15, "-n", 20, "--clean")
+    words = ("--method", "ght,beam", "--cell", 0.2, "--theta-step-deg", 15, "-n", 20)
     (row,) = rows(call("calibrate", office, *words, "--dry-run", "--json").out)
     assert sorted(office.parent.iterdir()) == before
     assert list(row["methods"]) == ["ght", "beam"]
-    assert row["about"]["clean"] is True
     index = row["about"]["index"]["ght"]
     assert index["calibrated"]["value"] > index["bare"]["value"]
 

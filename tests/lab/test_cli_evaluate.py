@@ -216,7 +216,6 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
         (["--flipped"], 2, "--flipped: expected --scans"),
         (["--sensor", "0,0,90"], 2, "--sensor: got an angle of 90, expected radians"),
         (["--tolerance", "nan,1"], 2, "--tolerance: got 'nan,1'"),
-        (["--floor", "0"], 2, "--floor: got 0"),
         (["--sample", "3"], 2, "--sample: expected --scans"),
         (["-n", "1000000"], 2, "-n: got 1,000,000"),
         (["--range-max", "0"], 2, "--range-max: got 0"),

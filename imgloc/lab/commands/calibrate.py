@@ -1,7 +1,7 @@
 """`imgloc calibrate`: what evidence is worth in a map, and what error all its readings share."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,7 +27,6 @@ from imgloc.ranges import Within, option
 from imgloc.texts import names
 
 if TYPE_CHECKING:
-    from imgloc.io.scanset import ScanSet
     from imgloc.lab.calibrate import CalibrationFit
     from imgloc.model import OccupancyGrid
     from imgloc.runs.opening import Desk, MapFiles, ScanFiles
@@ -38,7 +37,7 @@ _SIMULATED, _RECORDED = "calibrate without --scans", "calibrate --scans"
 _OF = {
     **dict.fromkeys(("--rays", "--sigma", "--outliers", "--dropped", "--clearance"), (_SIMULATED,)),
     **dict.fromkeys(("--method", "-n", "--count", "--seed", "--theta-step-deg"), (_SIMULATED,)),
-    **dict.fromkeys(("--cell", "--clean"), (_SIMULATED,)),
+    **dict.fromkeys(("--cell",), (_SIMULATED,)),
     **dict.fromkeys(("--topic", "--range-scale", "--max-bad", "--height", "--odom"), (_RECORDED,)),
     **dict.fromkeys(("--scans-index", "--sample", "--sample-seed", "--flipped"), (_RECORDED,)),
 }
@@ -57,7 +56,7 @@ def calibrate(
     logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
     mounting: Mounting,
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     taken: opt.Resources,
     scans: list[Path] | None = option(
         None,
@@ -84,9 +83,6 @@ def calibrate(
     seed: Seed = 1000,
     theta_step_deg: opt.Steps = None,
     cell: Cell = 0.1,
-    clean: bool = option(
-        False, "Disturb no scan. [default: two thirds are disturbed, as by people]"
-    ),
     dry_run: bool = option(False, "Print the fit, and store nothing."),
     as_json: opt.AsJson = False,
     force: opt.Force = False,
@@ -113,7 +109,7 @@ def calibrate(
     from imgloc.lab.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.model import plain
     from imgloc.pipeline import prepare
-    from imgloc.simulation.scans import fine_image, is_world, simulate
+    from imgloc.simulation.scans import fine_image, is_world
 
     opt.refuse_others(given, _OF, {_SIMULATED if scans is None else _RECORDED})
     steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
@@ -143,9 +139,8 @@ def calibrate(
         desk.check_simulation(grid, name, count, sensor.rays, world=world, sets=3 * len(grids))
         for options in plans.values():
             desk.check_answer(prepare(grid, name, ready=False, cell=cell), options, name)
-    made: Callable[..., ScanSet] = simulate if clean else disturbed_set
     sets = [
-        made(grid, count, seed, sensor, fine_image(path, grid))
+        disturbed_set(grid, count, seed, sensor, fine_image(path, grid))
         for path, grid in zip(paths, grids, strict=True)
     ]
     fits: dict[str, CalibrationFit] = {}
@@ -158,7 +153,7 @@ def calibrate(
         fits[name] = fit(sweeps)
         LOG.info("%s: %s", name, asdict(fits[name].calibration))
     about = {"maps": [display(path) for path in paths], "seed": seed, "trials": count}
-    about |= {"sensor": asdict(sensor), "clean": clean, "cell": cell}
+    about |= {"sensor": asdict(sensor), "cell": cell}
     degrees = {m: round(math.degrees(step), 9) for m, step in steps.items()}
     _show(fits, about, degrees, as_json=as_json)
     for target, grid in [] if dry_run else zip(targets, grids, strict=True):

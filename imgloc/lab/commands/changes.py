@@ -33,7 +33,7 @@ def changes(
         "the same name with .png.",
         metavar="YAML",
     ),
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     recorded: Recorded,
     taken: opt.Resources,
     as_json: opt.AsJson = False,

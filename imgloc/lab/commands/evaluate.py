@@ -26,7 +26,7 @@ from imgloc.options import (
     Sensor,
     Tolerance,
 )
-from imgloc.ranges import Within, option
+from imgloc.ranges import option
 from imgloc.texts import metres_degrees, names
 
 _MAX_SCANS = 100_000
@@ -42,7 +42,7 @@ def evaluate(
     ),
     sensor: Annotated[Sensor, Without("range_max", "mount")],
     mounting: Mounting,
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     chosen: Chosen,
     taken: opt.Resources,
     method: tuple[str, ...] = option(
@@ -78,9 +78,6 @@ def evaluate(
         "METHOD=M. May be repeated. [default: 0.1]",
         metavar="[METHOD=]M",
     ),
-    floor: Annotated[float, Within(1e-12, 0.5, "a share")] = option(
-        1e-3, "Share of a uniform density that is mixed into each posterior before S is taken."
-    ),
     as_json: opt.AsJson = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
@@ -90,9 +87,10 @@ def evaluate(
     it is certain of one cell of a lattice of poses. "S calibrated" is the S of the posterior that
     localize uses (see `imgloc calibrate`). For fused, S is that of Gaussians and may be above
     S max; its S calibrated is on the lattice. "S all cells" includes walls and unknown space. "at
-    floor" counts the trials whose density is at most --floor. "not free" counts those whose true
-    pose is in a cell that is not free on the map. The paper's methods try a heading every 3 degrees
-    (cbml, cbml-o, beam) or 30 (ght, ght-v). Only the columns under "cost" differ between runs.
+    floor" counts the trials whose density is at most 0.001 of a uniform one; "not free" those whose
+    true pose is in a cell that is not free on the map. The paper's methods try a heading every 3
+    degrees (cbml, cbml-o, beam) or 30 (ght, ght-v). Only the columns under "cost" differ between
+    runs.
     """
     from imgloc.cli import inputs
     from imgloc.lab.jobs import Evaluate
@@ -113,7 +111,6 @@ def evaluate(
             theta_step=steps.get(name),
             cell=cells.get(name, 0.1),
             tolerances=(*TOLERANCES, *(tolerance or ())),
-            floor=floor,
             maps=read,
             scans=inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped)),
             sensor=sensor,
