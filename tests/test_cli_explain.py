@@ -1,7 +1,6 @@
 """`imgloc localize --explain`, from file to file."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -112,32 +111,3 @@ def test_a_real_scan_on_a_real_map_and_on_a_wrong_one(shared: Path, tmp_path: Pa
         page = out.read_text(encoding="utf-8")
         assert any(f"<span class=word>{verdict}</span>" in page for verdict in verdicts)
         assert len(page) < 3_000_000
-
-
-@pytest.fixture(scope="module")
-def told(scans: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page about a scan in millimetres, which says what to look at next."""
-    out = tmp_path_factory.mktemp("told") / "why.html"
-    words = ["localize", CURVED, scans, "--scans-index", 0, "--range-scale", 1000, "--explain", out]
-    assert "are they millimetres? Try --range-scale 1" in call(*words).err
-    return out
-
-
-@pytest.mark.parametrize("width", [390, 1400])
-def test_a_browser_shows_the_page_without_scrolling_sideways(
-    browser: Any, told: Path, width: int
-) -> None:
-    page, said = browser.new_page(viewport={"width": width, "height": 900}), list[str]()
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(told.as_uri())
-    size = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
-    hint = page.locator(".next li").inner_text()
-    gap = page.evaluate("""[...document.querySelectorAll('main > *')].map(
-        (e) => e.getBoundingClientRect()).reduce(([gap, end], {top, bottom}) =>
-        [Math.max(gap, top - end), bottom], [0, 0])[0]""")
-    page.close()
-    assert said == []
-    assert size[0] <= size[1] == width
-    assert "Try --range-scale 1" in hint
-    assert gap < 120  # pixels of nothing

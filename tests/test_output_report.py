@@ -1,4 +1,4 @@
-"""The page and the table of a batch: read in a real browser, and by the programs that they are for.
+"""The page and the table of a batch: as a page, and by the programs that they are for.
 
 The rows are written here, as a batch would: many, of every kind, without the time to compute them.
 """
@@ -167,80 +167,3 @@ def test_parquet_has_the_values_of_the_csv(folder: Path) -> None:
     assert table.column("x").to_pylist()[3] == 4.0
     assert table.column("hit").to_pylist()[248] is None
     assert table.column("code").to_pylist()[249] == "9"
-
-
-@pytest.mark.parametrize("width", [390, 1280])
-def test_in_a_browser(folder: Path, browser, width: int) -> None:
-    assert call("report", folder).code == 0
-    context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
-    page = context.new_page()
-    trouble: list[str] = []
-    page.on("console", lambda m: trouble.append(m.text) if m.type in ("error", "warning") else None)
-    page.on("pageerror", lambda e: trouble.append(str(e)))
-    page.goto((folder / "report.html").as_uri())
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    ground = "getComputedStyle(document.querySelector('main')).backgroundColor"
-    assert page.evaluate(ground) == "rgb(255, 255, 255)"
-    page.emulate_media(color_scheme="dark")
-    assert page.evaluate(ground) == "rgb(22, 27, 34)"
-    answers, maps = (page.locator(f"[data-table={name}]") for name in ("answers", "maps"))
-    assert maps.locator("tbody tr").count() == 3
-    assert answers.locator("tbody tr").count() == 100
-    assert answers.locator("output").inner_text() == "248 rows"
-
-    # It sorts: the worst first, then the best.
-    head = answers.get_by_role("button", name="error / m")
-    head.click()
-    assert answers.locator("th[aria-sort=descending]").count() == 1
-    column = [th.inner_text() for th in answers.locator("th").all()].index("error / m")
-    value = answers.locator("tbody tr").first.locator("td").nth(column)
-    assert value.inner_text() == "3.000"
-    head.focus()
-    page.keyboard.press("Enter")
-    assert value.inner_text() == "0.040"
-
-    # It filters, by words and by verdict.
-    answers.locator("input").fill("cellar run-0004")
-    page.wait_for_function(
-        "document.querySelector('[data-table=answers] output').textContent == '1 of 248 rows'"
-    )
-    answers.locator("input").fill("")
-    answers.locator("select").select_option(label="wrong")
-    page.wait_for_function(
-        "document.querySelectorAll('[data-table=answers] tbody tr').length == 36"
-    )
-    answers.locator("select").select_option(label="all")
-
-    # It opens an item, by the keyboard, with its pictures; and the next one.
-    answers.locator("input").fill("run-0004")
-    page.wait_for_function(
-        "document.querySelector('[data-table=answers] output').textContent == '1 of 248 rows'"
-    )
-    answers.locator("tbody button").first.focus()
-    page.keyboard.press("Enter")
-    dialog = page.locator("dialog")
-    assert "run-0004.npz" in dialog.locator("h2").inner_text()
-    assert dialog.locator("img").count() == 2
-    page.wait_for_function(
-        "[...document.querySelectorAll('dialog img')].every(i => i.complete && i.naturalWidth)"
-    )
-    page.keyboard.press("Escape")
-    assert not dialog.is_visible()
-    answers.locator("input").fill("")
-    page.wait_for_function(
-        "document.querySelector('[data-table=answers] output').textContent == '248 rows'"
-    )
-    answers.get_by_role("button", name="Next page").click()
-    answers.locator("tbody button").first.click()
-    title = dialog.locator("h2").inner_text()
-    page.keyboard.press("ArrowRight")
-    assert dialog.locator("h2").inner_text() != title
-    page.keyboard.press("Escape")
-
-    # The gallery has what has pictures, and the failures their messages.
-    assert page.locator("#gallery button").count() == 1
-    failures = page.locator("[data-table=failures] tbody")
-    assert "run-0248.npz: is empty" in failures.inner_text()
-    assert "</script><b>hall" in maps.inner_text()
-    assert not trouble
-    context.close()
