@@ -421,12 +421,13 @@ class LocalizerNode:
     def _hear(self, kind: Any, topic: str, heard: Callable[[Any], None], qos: Any) -> str:
         """Listen to a topic; return its name with namespace and remapping."""
         try:
-            name = str(self.node.resolve_topic_name(topic))
-            self.node.create_subscription(kind, topic, self._guarded(name, heard), qos)
-            return name
+            made = self.node.create_subscription(kind, topic, heard, qos)
         except self.ros.exceptions.InvalidTopicNameException as error:
             why = str(error).splitlines()[0].removesuffix(":")
             raise ConfigError(f"parameter scan_topics: got {topic!r}: {why}") from None
+        name = str(made.topic_name)
+        made.callback = self._guarded(name, heard)
+        return name
 
     def _guarded(self, what: str, call: Callable[..., None]) -> Callable[..., None]:
         """`call`, whose errors are logged: neither a message nor a defect may end the node."""

@@ -84,9 +84,9 @@ def volumes(step_deg: float) -> dict[str, float]:
     -1.84
     """
     return {
-        "V an area": -np.log(2 * np.pi),
-        "p of a cell, V in m2 rad": np.log(CELL**2 * np.deg2rad(step_deg)),
-        "p of a cell, V in m2 deg": np.log(CELL**2 * step_deg),
+        "V an area": -float(np.log(2 * np.pi)),
+        "p of a cell, V in m2 rad": float(np.log(CELL**2 * np.deg2rad(step_deg))),
+        "p of a cell, V in m2 deg": float(np.log(CELL**2 * step_deg)),
     }
 
 

@@ -200,13 +200,11 @@ export const locate = api.newest(async () => {
   const verdicts = [...state.verdicts];
   verdicts[index] = answer.verdict;
   change({ answer, verdicts, reading: -1, refused: false, hints: [] });
-  if (!SURE.includes(answer.verdict)) doubt();
+  if (answer.verdict !== "unique") doubt();
   if (answer.hypotheses.length) chooseHypothesis(0);
   else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }));
   else askScore();
 });
-
-const SURE = ["unique", "ambiguous"];
 
 /** Ask what keeps the scan from fitting, in the words of the command. */
 const doubt = api.newest(async () => {
