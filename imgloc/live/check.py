@@ -140,7 +140,9 @@ class _Ear:
             mount, turned, source = Pose2D(*planar(link)), link[2, 2] < 0, "tf"
         else:
             found = f"tf does not say where {frame} sits on {base}"
-            return Row(f"{heard.name} mount", found, "publish it, or set the parameter sensor to X,Y,YAW"), []
+            return Row(
+                f"{heard.name} mount", found, "publish it, or set the parameter sensor to X,Y,YAW"
+            ), []
         chosen = [heard.messages[i] for i in np.linspace(0, len(heard.messages) - 1, _SCANS)
                   .astype(int)]  # fmt: skip
         scans = [scan_from_msg(one, heard.name) for one in chosen]
