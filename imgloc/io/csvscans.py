@@ -208,11 +208,9 @@ class _Table:
         if not {"time", "stamp", "seconds"} & by.keys() and ranges[:1] == [0] and self._rises():
             by, roles, ranges = {**by, "time": 0}, [("time", 0, 1.0), *roles[1:]], ranges[1:]
         if len(ranges) == 1 and len(self.rows) > 1:
-            expected = (
-                "a scan a line, its ranges with commas between, or two columns, angle and range"
-            )
-            found = f"{len(self.rows):,} lines of one range each"
-            raise ScanError(f"{self.name}: {found}, expected {expected}")
+            found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
+            how = "its ranges with commas between, or two columns, angle and range"
+            raise ScanError(f"{self.name}: {found}, {how}")
         places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
         for key, wanted in _PLACES.items():
             if 0 < len(places[key]) < len(wanted):
