@@ -227,3 +227,14 @@ def test_a_view_that_is_stated_wins_over_angles_that_cannot_be(tmp_path: Path, s
         load_scans(tmp_path / "a.csv")
     scans = load_scans(tmp_path / "a.csv", fov=np.pi)
     np.testing.assert_allclose(scans[0].angles, ANGLES)
+
+
+@pytest.mark.parametrize("step", ["0", "1e-320", "inf"])
+def test_an_echo_whose_step_cannot_be_is_left_out(tmp_path: Path, step: str) -> None:
+    line = "{},0,laser,-1.0,1.0,{},0,0.1,0.05,30,1,2,3,4,5\n"
+    path = tmp_path / "a.csv"
+    path.write_text(line.format(1, step))
+    with pytest.raises(ScanError, match="line 1: angle"):
+        load_scans(path)
+    path.write_text("".join(line.format(t, s) for t, s in ((1, step), (2, 0.5), (3, 0.5))))
+    assert len(load_scans(path, max_bad=0.5)) == 2

@@ -341,12 +341,14 @@ class _Table:
                 ]
                 said = {key: row[2 + k] for k, key in enumerate(keys) if key}
                 rays, count = row[_ECHO - 1 :], _rays_of(said)
+                if count < 1:
+                    raise ScanError(f"{where}: angle_increment: expected radians between two rays")
                 if abs(count - len(rays)) > 1:  # intensities follow
                     count = len(rays) // 2 if abs(2 * count - len(rays)) <= 2 else len(rays)
                 stamp = row[0] + 1e-9 * row[1]
                 ranges = np.array(rays[:count])
                 entries.append((where, {**said, "ranges": ranges, "stamp": stamp}))
-            except (ScanError, ZeroDivisionError, IndexError) as error:
+            except (ScanError, IndexError) as error:
                 if entries and where == self.cut:
                     self.bad.cut(where)
                 else:
@@ -361,7 +363,11 @@ def _is_echo(cells: Sequence[str]) -> bool:
 
 
 def _rays_of(said: Mapping[str, float]) -> int:
-    return 1 + round((said["angle_max"] - said["angle_min"]) / said["angle_increment"])
+    """Number of the rays that a line names; 0 if its angles cannot be."""
+    try:
+        return 1 + round((said["angle_max"] - said["angle_min"]) / said["angle_increment"])
+    except (ZeroDivisionError, OverflowError, ValueError):  # an infinity, or NaN
+        return 0
 
 
 def _beyond(said: Mapping[str, float], values: FloatArray) -> bool:
