@@ -177,7 +177,7 @@ def scans_bytes(scans: int, numbers: int, file_bytes: int = 0, *, text: bool = F
     >>> scans_bytes(100, 100 * 360 + 360, 200_000) // 2**20
     1
     """
-    return 1700 * scans + (150 if text else 24) * numbers + (16 if text else 1) * file_bytes
+    return 1700 * scans + (125 if text else 24) * numbers + (16 if text else 1) * file_bytes
 
 
 def simulate_bytes(cells: int, fine_cells: int, readings: int, *, kept: int = 0) -> int:
