@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -133,14 +132,6 @@ def test_degrees_are_named_by_their_key(tmp_path: Path) -> None:
     path.write_text('{"ranges": [1, 2], "angle_min": -1, "angle_max": 1, "pose": [0, 0, 90]}\n')
     run = call("localize", "curved", path)
     assert "pose: got a theta of 90, expected radians; are these degrees?" in run.err
-
-
-def test_scaling_keeps_limits_that_were_in_metres(scans: Path) -> None:
-    scan = load_scans(scans)[0]
-    for limit in (scan.range_max, 1000 * scan.range_max):
-        doubled = replace(scan, ranges=1000 * scan.ranges, range_max=limit).scaled(0.001)
-        assert doubled.range_max == pytest.approx(scan.range_max)
-        np.testing.assert_allclose(doubled.ranges, scan.ranges)
 
 
 def test_a_prior_off_the_map_and_a_missing_image_are_named(scans: Path, tmp_path: Path) -> None:

@@ -274,16 +274,6 @@ def test_the_real_command_says_that_a_frame_is_another_one(
     assert (said in run.out + run.err) == (not several), run
 
 
-def test_an_image_in_another_frame_is_said_in_python(tmp_path: Path, caplog, monkeypatch) -> None:
-    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
-    path = copy_of_map(tmp_path, origin="[-12.5, -8, 0]")
-    with caplog.at_level(logging.WARNING):
-        load_map(path)
-        assert caplog.text == ""
-        load_map(path.with_suffix(".png"), resolution=0.1)
-    assert "poses are in another frame" in caplog.text
-
-
 def test_unknown_cells_that_count_as_free_are_said(
     log: Path, tmp_path: Path, caplog, monkeypatch
 ) -> None:

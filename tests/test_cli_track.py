@@ -1,6 +1,5 @@
 """`imgloc track`."""
 
-import json
 import re
 import shutil
 from collections.abc import Callable
@@ -294,28 +293,6 @@ def test_a_pose_is_as_sure_as_was_asked_for(log: Path) -> None:
     assert {row["withheld"] for row in rows(run.out)} == {"unconfirmed", "wide"}
     assert not any(row["pose"] for row in rows(run.out))
     assert "wide" not in call("track", MAP, log, "--max-sd", "2,10").out
-
-
-def test_jsonl_logs_are_read(log: Path, tmp_path: Path) -> None:
-    data = np.load(log)
-    path = tmp_path / "log.jsonl"
-    path.write_text(
-        "\n".join(
-            json.dumps(
-                {
-                    "ranges": [float(r) for r in data["ranges"][k]],
-                    "angles": data["angles"].tolist(),
-                    "range_max": 30.0,
-                    "stamp": float(data["stamps"][k]),
-                    "odom": data["odom"][k].tolist(),
-                }
-            )
-            for k in range(3)
-        )
-    )
-    run = call("track", MAP, path, "--json")
-    assert run.code == 0, run.err
-    assert [row["stamp"] for row in rows(run.out)] == [100.0, 101.0, 102.0]
 
 
 def test_what_was_calibrated_for_the_map_is_used(log: Path, tmp_path: Path) -> None:

@@ -199,18 +199,6 @@ def corridor(screen=None):
 POSE = [[1.0, 1.0, 0.0]]
 
 
-def test_a_wall_in_between_costs_the_chance_that_it_is_gone():
-    model = EvidenceModel()
-    plain = score(corridor(), POSE, [4.0, 4.0], [0.0, 0.1], model)
-    screened = score(corridor(screen=2.5), POSE, [4.0, 4.0], [0.0, 0.1], model)
-    assert plain.crossed.tolist() == [[False, False]]
-    assert screened.crossed.tolist() == [[True, True]]
-    # The screen is too far from the endpoints to change their distances.
-    cost = plain.log_likelihood[0] - screened.log_likelihood[0]
-    assert cost == pytest.approx(-2 * math.log(model.absent), rel=1e-5)
-    assert (plain.explained[0], screened.explained[0]) == (1, 0)
-
-
 @pytest.mark.parametrize("resolution", [0.05, 0.1, 0.2])
 @pytest.mark.parametrize("before", [1, 2, 3, 4, 6, 30])
 def test_the_further_behind_a_wall_the_less_likely_it_is_drawn_in_a_wrong_place(resolution, before):
@@ -253,14 +241,6 @@ def test_too_short_is_no_surprise_and_too_long_is(rho, crossed, on_surface):
     assert bool(got.on_surface[0, 0]) is on_surface
 
 
-@pytest.mark.parametrize("model", [EvidenceModel(), EvidenceModel((0.1, 0.3), 0.6, 5.0)])
-def test_no_reading_is_better_than_the_best(model):
-    assert model.best == pytest.approx(naive_log_density(0.0, 1.0, model))
-    ranges = np.linspace(0.05, 7, 200)
-    each = [score(corridor(), POSE, [r], [0.0], model).log_likelihood[0] for r in ranges]
-    assert model.best - 0.2 < max(each) <= model.best + 1e-4
-
-
 def test_what_fits_best_scores_best():
     rho = np.arange(3.0, 5.0, 0.05)
     got = [score(corridor(), POSE, [r], [0.0]).log_likelihood[0] for r in rho]
@@ -275,13 +255,6 @@ def test_a_reading_of_nothing_on_the_map_costs_the_same_everywhere():
     chance = math.log((1 - model.hit) / model.span)
     assert got.log_likelihood[0] == pytest.approx(2 * chance, rel=1e-5)
     assert not got.on_surface.any()
-
-
-def test_off_the_map_nothing_is_met():
-    got = score(corridor(), [[1.0, 1.0, math.pi / 2]], [9.0], [0.0])
-    assert not got.crossed.any()
-    assert not got.on_surface.any()
-    assert np.isfinite(got.log_likelihood).all()
 
 
 @given(seeds)
