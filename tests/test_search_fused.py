@@ -18,7 +18,7 @@ from imgloc.options import FusedOptions, Options, Prior
 from imgloc.pipeline import find_modes
 from imgloc.search.modes import separate
 from imgloc.search.proposals import cast_votes, propose_votes
-from imgloc.search.rescore import Scores, rescore, shortlist
+from imgloc.search.rescore import Scores, score_poses, score_readings, shortlist
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -168,14 +168,7 @@ def test_what_is_returned(name):
     # Scored with the rays it names, best first.
     assert len(found.readings) == min(OPTIONS.rays, len(one_per_place(scan, OPTIONS.place)))
     assert evidence.on_surface.shape == evidence.crossed.shape == (len(poses), len(found.readings))
-    again = rescore(
-        poses,
-        found.readings.ranges,
-        found.readings.angles,
-        features.field,
-        features.walls,
-        OPTIONS.model,
-    )
+    again = score_poses(features, found.readings, poses, OPTIONS.model)
     # Of the best maximum of each mode; the pose is the mean of them.
     less = np.abs(evidence.log_likelihood - again.log_likelihood) / len(found.readings)
     assert less.max() < 0.15
@@ -328,6 +321,6 @@ def test_two_layers_of_a_wall_have_a_maximum_each():
         options = Options(fused=dataclasses.replace(OPTIONS, closer=closer))
         kept, score = shortlist(poses, readings, features, options)
         assert len(kept) == expected
-        seen = (readings.ranges, readings.angles, features.field, features.walls)
-        np.testing.assert_array_equal(score, rescore(kept, *seen, options.model).log_likelihood)
+        again = score_readings(features, readings, kept, options.model)
+        np.testing.assert_array_equal(score, again)
         assert score[0] == score.max()

@@ -108,12 +108,12 @@ def fit_at(
     if settle and len(readings):
         around = refine(at + _starts(), readings.xy, features.field, sigmas=_WIDTHS)
         some = np.concatenate((at, around))
-        score = score_readings(features, readings, some, options)
+        score = score_readings(features, readings, some, options.model)
         at = some[score.argmax()][None]
         pose = Pose2D(*transform_poses(grid.origin, at)[0])
     total, explained = 0.0, float("nan")
     if len(readings):
-        total = float(score_readings(features, readings, at, options)[0])
+        total = float(score_readings(features, readings, at, options.model)[0])
         explained = explained_rays(features, scan, at, options, Shared())
     rays = explain_rays(Pose2D(*at[0]), scan, features, options.model)
     ends, distance = transform_points(grid.origin, rays.end), np.full(len(rays.end), np.nan)

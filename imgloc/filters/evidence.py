@@ -109,7 +109,7 @@ def sight(
     `spread` (C, 3, 3) has second moments in m², m rad and rad² that widen the covariances.
     """
     seen, at = view.readings, view.sensor(poses)
-    score = score_readings(features, seen, at, options)
+    score = score_readings(features, seen, at, options.model)
     temperature, gained = by_readings(features, seen, score, options)
     log, misfit = score / temperature, options.model.best - score / len(seen)
     order = np.argsort(-score, kind="stable")
@@ -236,7 +236,7 @@ def _places(found: Modes) -> Places:
 
 def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
     """Least misfit of poses (C, 3) of the robot without moving them, nats per reading."""
-    score = score_readings(features, view.readings, view.sensor(poses), options)
+    score = score_readings(features, view.readings, view.sensor(poses), options.model)
     return options.model.best - float(score.max()) / len(view.readings)
 
 
@@ -253,6 +253,6 @@ def stretched(
     poses = np.column_stack((same, _SCALES))
     poses = refine(poses, view.readings.xy, features.field, sigmas=_SETTLE_SCALED)
     poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
-    score = score_readings(features, view.readings, poses, options)
+    score = score_readings(features, view.readings, poses, options.model)
     best = 1 + int(np.argmax(score[1:]))
     return float(poses[best, 3]), float(score[best] - score[0])

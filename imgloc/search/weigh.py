@@ -202,7 +202,7 @@ def explained_rays(
     """
     scan, there = scan.scaled(shared.scale), features.thinner(shared.thinner)
     rays = Readings(scan.ranges[scan.valid], scan.angles[scan.valid])
-    return float(score_poses(there, rays, pose, options).explained[0])
+    return float(score_poses(there, rays, pose, options.model).explained[0])
 
 
 def settle(
@@ -214,4 +214,4 @@ def settle(
     """
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     poses = refine(poses, readings.xy, features.field, sigmas=_FROM_CELLS)
-    return poses, readings, score_poses(features, readings, poses, options)
+    return poses, readings, score_poses(features, readings, poses, options.model)
