@@ -35,6 +35,7 @@ from imgloc.search.weigh import explained_rays
 
 _WIDTHS = number("fit.settle")
 _AROUND, _APART = number("fit.around"), number("fit.apart")
+_CLOSER = number("fit.closer")  # part of these for a second look, around the best of the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +107,11 @@ def fit_at(
     at = np.array([[local.x, local.y, local.theta]])
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     if settle and len(readings):
-        around = refine(at + _starts(), readings.xy, features.field, sigmas=_WIDTHS)
-        some = np.concatenate((at, around))
-        score = score_readings(features, readings, some, options.model)
-        at = some[score.argmax()][None]
+        for part, widths in ((1, _WIDTHS), (_CLOSER, _WIDTHS[-1:])):
+            around = refine(at + _starts() / part, readings.xy, features.field, sigmas=widths)
+            some = np.concatenate((at, around))
+            score = score_readings(features, readings, some, options.model)
+            at = some[score.argmax()][None]
         pose = Pose2D(*transform_poses(grid.origin, at)[0])
     total, explained = 0.0, float("nan")
     if len(readings):
