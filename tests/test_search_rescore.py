@@ -23,7 +23,8 @@ from imgloc.search.rescore import (
     pieces,
     score_poses,
     shortlist,
-)  # fmt: skip
+    things_at,
+)
 
 RESOLUTION = 0.1
 seeds = st.integers(0, 2**32 - 1)
@@ -420,3 +421,20 @@ def test_pieces_that_pass_through_a_wall_are_counted_and_strays_are_not():
     got = score(corridor(), POSE, far, angles)
     assert got.crossed.sum() == 1
     assert got.through[0] == 0
+
+
+def test_things_are_named_by_where_they_are():
+    wall = corridor()
+    angles = np.concatenate((np.linspace(-0.1, 0.1, 21), np.linspace(0.4, 0.5, 7)))
+    ranges = np.where(angles < 0.2, 4.0 / np.cos(angles), 1.5)  # the wall, and a box before it
+    features = MapFeatures(OccupancyGrid(wall, ~wall, RESOLUTION))
+    readings = Readings(ranges, angles)
+    scores = score_poses(features, readings, np.array(POSE), EvidenceModel())
+    (box,) = things_at(readings, scores, 0)
+    assert (box.bearing, box.distance) == pytest.approx((0.45, 1.5), abs=0.01)
+    assert (box.share, box.through) == (pytest.approx(7 / 28), False)
+    screened = MapFeatures(OccupancyGrid(corridor(screen=3.0), ~corridor(screen=3.0), RESOLUTION))
+    scores = score_poses(screened, readings, np.array(POSE), EvidenceModel())
+    (gone, box) = things_at(readings, scores, 0)
+    assert gone.through
+    assert gone.share > box.share

@@ -35,7 +35,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_along
 from imgloc.features.scanpoints import Readings
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, Thing
 from imgloc.numbers import number
 from imgloc.options import EvidenceModel, Options
 from imgloc.search.hypotheses import first_in_cell, modes
@@ -65,9 +65,10 @@ class Scores:
 
     log_likelihood: FloatArray  #: (C,) nats, each reading by itself
     things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
-    #: (C,) number of pieces, of some readings at least, that are rather what the map has there
-    mapped: IntArray
-    through: IntArray  #: (C,) and of those most of which pass through a mapped wall
+    #: (C, P) pieces, of some readings at least, that are rather what the map has there
+    fits: BoolArray
+    own: BoolArray  #: (C, P) and those that are rather things of their own
+    passing: BoolArray  #: (C, P) pieces most of which pass through a mapped wall
     #: (C, N) whether a reading ends nearer to a surface than twice the wider sigma
     on_surface: BoolArray
     #: (C, N) whether a reading passes through a mapped wall, which more likely than not is gone
@@ -76,6 +77,16 @@ class Scores:
     def select(self, index: IntArray) -> "Scores":
         """The scores of the poses at `index`."""
         return Scores(*(getattr(self, each.name)[index] for each in fields(self)))
+
+    @property
+    def mapped(self) -> IntArray:
+        """Number of pieces that are rather what the map has there, (C,)."""
+        return np.asarray(self.fits.sum(axis=1))
+
+    @property
+    def through(self) -> IntArray:
+        """Number of pieces that pass through a mapped wall, (C,)."""
+        return np.asarray(self.passing.sum(axis=1))
 
     @property
     def explained(self) -> FloatArray:
@@ -98,15 +109,34 @@ def score_poses(
         bent = _bent_pieces(distance[:, order], parts, displaced, shifted[:, order])
         told = np.logaddexp(told, bent - _DISPLACEMENT)
     on_surface, crossed = np.abs(distance) < 2 * max(model.sigmas), shifted < model.absent
-    own, passing = things_of_their_own(parts, len(order), model), _sums(crossed[:, order], parts)
-    sizes = _sizes(parts, len(order))
-    mapped = (sizes >= _RUN[0]) & (told > np.maximum(own, sizes * (model.best - _FITS)))
-    through = (passing >= _RUN[1]) & (2 * passing > sizes)
+    sizes, own = _sizes(parts, len(order)), things_of_their_own(parts, len(order), model)
+    crossing, some = _sums(crossed[:, order], parts), sizes >= _RUN[0]
+    fits = some & (told > np.maximum(own, sizes * (model.best - _FITS)))
+    passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     # On bent walls all pieces are displaced or gone already.
     things = log_likelihood if model.bent else np.logaddexp(told, own).sum(axis=1)
-    return Scores(
-        log_likelihood, things, mapped.sum(axis=1), through.sum(axis=1), on_surface, crossed
+    apart = some & (told < own)
+    return Scores(log_likelihood, things, fits, apart, passing, on_surface, crossed)
+
+
+def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
+    """Name the pieces of a scan that differ from the map at one of the scored poses.
+
+    They are not on the map, or pass through a wall of it. The largest come first.
+    """
+    order, parts = pieces(readings.ranges, readings.angles)
+    sizes = _sizes(parts, len(order))
+    angle, far = (
+        np.add.reduceat(each[order], parts) / sizes for each in (readings.angles, readings.ranges)
     )
+    found = np.flatnonzero(scores.own[index] | scores.passing[index])
+    return tuple(
+        Thing(
+            float(angle[k]), float(far[k]), float(sizes[k] / len(order)),
+            bool(scores.passing[index, k]),
+        )
+        for k in found[np.argsort(-sizes[found], kind="stable")]
+    )  # fmt: skip
 
 
 def score_readings(

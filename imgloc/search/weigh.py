@@ -22,7 +22,7 @@ from imgloc.search.hypotheses import (
 from imgloc.search.modes import Modes, temperature_of
 from imgloc.search.priors import stands
 from imgloc.search.refine import block_sums, refine
-from imgloc.search.rescore import Scores, score_poses
+from imgloc.search.rescore import Scores, score_poses, things_at
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
@@ -178,6 +178,7 @@ def evidence_of(
     return Evidence(
         n, model.best, model.best - float(scores.log_likelihood[best]) / n, unmapped, gained,
         against, temperature=temperature, mapped=mapped, through=through, floor=floor,
+        things=things_at(readings, scores, best),
     )  # fmt: skip
 
 
