@@ -273,7 +273,7 @@ def help_of(field: Declared) -> str:
     if "[default:" in text:
         text, _, default = text.removesuffix("]").partition(" [default: ")
         some.append(f"default: {default}")
-    elif field.default not in (None, MISSING, []) and field.kind is not bool:
+    elif field.default not in (None, MISSING, "", [], ()) and field.kind is not bool:
         some.append(f"default: {_shown(field)}")
     return text + (f"  [{'; '.join(some)}]" if some else "")
 
@@ -338,7 +338,8 @@ def check_of(hint: Any) -> Check | None:
         one = inner[0] if len(inner) == 1 else None  # several kinds: their user tells them apart
         return None if one is None else lambda value: None if value is None else one(value)
     if origin is tuple or origin is Sequence:
-        return _each(parts, exact=origin is tuple and ... not in parts)
+        several = origin is Sequence or ... in parts
+        return _each(parts, exact=not several, least=origin is Sequence)
     if hint not in _PLAIN and not is_dataclass(hint):
         return None
     kind, said = _PLAIN.get(hint, (hint, getattr(hint, "__name__", "")))
@@ -371,16 +372,16 @@ def expected_of(kind: Any, limit: Limit, factor: float = 1.0, unit: str = "") ->
     return f"a whole number, {words}" if kind is int else words
 
 
-def _each(parts: Any, *, exact: bool) -> Check:
-    """What checks the parts of a tuple, or of a sequence of any length but none."""
+def _each(parts: Any, *, exact: bool, least: int) -> Check:
+    """What checks the parts of a tuple, or of a sequence of any length."""
     checks = [check_of(part) for part in parts if part is not ...]
 
     def check(value: Any) -> Refused:
         several = isinstance(value, tuple | list) or hasattr(value, "tolist")
         if exact and not (several and len(value) == len(checks)):
             return "", f"{len(checks)} values"
-        if not several or len(value) == 0:
-            return "", "at least one value"
+        if not several or len(value) < least:
+            return "", "at least one value" if least else "several values"
         for k, one in enumerate(value):
             here = checks[k if exact else 0]
             if here is not None and (refused := here(one)) is not None:

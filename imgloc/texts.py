@@ -6,12 +6,9 @@ Each function makes a value of a text, or raises a ConfigError that says what it
 import math
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.model import Pose2D
+from imgloc.pose import Pose2D
 
 _BINARY = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}  # powers of two
 _TURN = math.tau + 1e-6  # radians
@@ -95,10 +92,8 @@ def numbers(
     return read
 
 
-def pose(text: str) -> "Pose2D":
+def pose(text: str) -> Pose2D:
     """The pose of x, y and yaw: metres, metres, and an angle."""
-    from imgloc.model import Pose2D
-
     x, y, theta = numbers(3, angles=(2,))(text)
     if max(abs(x), abs(y)) > FAR:
         raise ConfigError(f"got {text!r}, expected x and y of at most {FAR:g} m")

@@ -55,6 +55,7 @@ _PANELS = {
     "Options": "Search", "Known": "Known of the pose", "Drawn": "Search", "Mounting": "Scans",
     "Logs": "Scans", "Chosen": "Scans", "ScanFiles": "Scans", "MapImages": "Map image",
     "Resources": "Machine", "Kept": "Machine", "Sensor": "Simulated laser", "Followed": "Filter",
+    "Settings": "Options",
 }  # fmt: skip
 Given = frozenset[str]  #: names of the options that were typed, as they are written
 Typed = dict[str, list[str]]  #: their words, name and values, as another command takes them
@@ -197,7 +198,7 @@ def value_of(field: Declared, text: Any) -> Any:
         if not isinstance(text, list):
             return text if isinstance(text, bool) else ranges.value_of(field, text)
         if option is not None and option.joined:
-            return ",".join(text)
+            return ranges.value_of(field, ",".join(text))
         items = map(Path, text) if get_args(field.kind) == (Path,) else text
         return [option.parse(one) if option and option.parse else one for one in items]
     except ConfigError as error:
