@@ -15,10 +15,11 @@ from command import MAPS, spawn
 import imgloc
 from imgloc.errors import ConfigError
 from imgloc.live.localizer import Localizer
-from imgloc.live.node import LocalizerNode, load_ros
+from imgloc.live.node import LocalizerNode, load_ros, with_parameters
 from imgloc.live.settings import Settings
 from imgloc.live.status import ERROR
 from imgloc.options import Options, Sensor
+from imgloc.ranges import declared
 from imgloc.simulation.scans import simulate
 
 pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
@@ -272,6 +273,17 @@ def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], said: str)
     with pytest.raises(ConfigError) as refused:
         Settings(**wrong)
     assert str(refused.value).startswith(f"Settings.{said}")
+
+
+def test_each_parameter_has_the_text_the_limits_and_the_default_of_its_option(
+    heard: Heard,
+) -> None:
+    settings = with_parameters(heard.ros, heard.rclpy, Settings())
+    assert settings == Settings()
+    for one in declared(Settings):
+        about = heard.rclpy.describe_parameter(one.name)
+        limits = "" if one.limit is None else str(one.limit)
+        assert (about.description, about.additional_constraints) == (one.text, limits)
 
 
 @pytest.mark.parametrize(
