@@ -107,9 +107,8 @@ def rescore(
         :func:`~imgloc.features.raycast.distance_image`.
     """
     order, parts = pieces(ranges, angles)
-    log_likelihood, told, distance, shifted = _told(
-        poses, ranges, angles, field, walls, model, order, parts
-    )
+    about = ranges, angles, field, walls, model
+    log_likelihood, told, distance, shifted = _told(poses, about, order, parts)
     if not model.bent:
         displaced = replace(model, bent=_DISPLACED)
         bent = _bent_pieces(distance[:, order], parts, displaced, shifted[:, order])
@@ -131,24 +130,22 @@ def score_readings(
 ) -> FloatArray:
     """Log-likelihoods (C,) of :func:`score_poses`, nats, without the things."""
     about = readings.ranges, readings.angles, features.field, features.walls, options.model
-    return _told(poses, *about, *pieces(readings.ranges, readings.angles))[0]
+    return _told(poses, about, *pieces(readings.ranges, readings.angles))[0]
+
+
+_About = tuple[FloatArray, FloatArray, DistanceField, Float32Array, EvidenceModel]
+"""Ranges and angles, distance field, walls and model, as of :func:`rescore`."""
 
 
 def _told(
-    poses: FloatArray,
-    ranges: FloatArray,
-    angles: FloatArray,
-    field: DistanceField,
-    walls: Float32Array,
-    model: EvidenceModel,
-    order: IntArray,
-    parts: IntArray,
+    poses: FloatArray, about: _About, order: IntArray, parts: IntArray
 ) -> tuple[FloatArray, FloatArray, Float32Array, Float32Array]:
     """Log-densities (C,) of all readings and (C, P) of each piece, nats.
 
     Then the distances (C, N) of the endpoints from a surface, metres, and the chance (C, N) that
     the wall that a reading passes is displaced.
     """
+    ranges, angles, field, walls, model = about
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
     shifted = _shifted(poses, ranges, angles, walls, field.resolution, model)
     if model.bent:
