@@ -24,9 +24,9 @@ from tools.script import parser_of, table_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
-    "__about__", "doors", "equality", "errors", "numbers", "ranges", "pose", "model", "geometry",
-    "texts", "options", "robot", "io", "features", "likelihoods", "search", "pipeline", "answers",
-    "choice", "filters", "simulation", "runs", "output", "live", "cli",
+    "__about__", "doors", "equality", "errors", "numbers", "pose", "texts", "ranges", "model",
+    "geometry", "options", "robot", "io", "features", "likelihoods", "search", "pipeline",
+    "answers", "choice", "filters", "simulation", "runs", "output", "live", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")
 """A module imports from its own room and from those before it; nothing from behind the wall."""

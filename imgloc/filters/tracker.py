@@ -438,6 +438,13 @@ class Tracker:
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
         self._tidy()
+        self._agree(view, laser)
+        self._judge_map(self._explains(laser))
+        self._remember()
+
+    def _agree(self, view: View, laser: Laser) -> None:
+        """Count the scans that agree with the best component, and learn from this one."""
+        how = self.how
         least = how.mass[self.options.shared.bent > 0]
         agrees = (self._mass[:1] >= least).any()
         enough = len(view.readings) >= how.agree[1]
@@ -450,8 +457,6 @@ class Tracker:
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
             if alone and not self.options.shared.bent:  # whose offsets look like a scale
                 self._stretch(view, fits=laser.last <= self.options.fused.strained)
-        self._judge_map(self._explains(laser))
-        self._remember()
 
     def _search(
         self, scan: LaserScan, view: View, *, strange: bool, at_once: bool = False
