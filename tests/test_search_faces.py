@@ -54,8 +54,8 @@ def errors(cells: int, view: float, noise: float, prior, depth: float = 0.0) -> 
 
 
 @pytest.mark.parametrize("cells", [1, 3, 6])
-@pytest.mark.parametrize("view", [90, 180, 270, 360])
-@pytest.mark.parametrize("noise", [0.01, 0.02, 0.05, 0.1, 0.15])
+@pytest.mark.parametrize("view", [90, 180, 360])
+@pytest.mark.parametrize("noise", [0.01, 0.05, 0.15])
 def test_poses_do_not_lean_toward_sharp_walls(cells, view, noise):
     along, across = errors(cells, view, noise, KNOWN).mean(axis=0)
     assert abs(along) < (0.006 if noise <= 0.05 else 0.015)
