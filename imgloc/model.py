@@ -573,9 +573,7 @@ class Evidence(ByContent):
     against: float = 0.0
     mapped: int = 0  #: pieces of the scan that are rather what the map has there
     through: int = 0  #: pieces of the scan that pass through a mapped wall
-    things: tuple[
-        Thing, ...
-    ] = ()  #: pieces that differ from the map, the largest first
+    things: tuple[Thing, ...] = ()  #: pieces that differ from the map, the largest first
     #: factor on the readings with which they fit far better; 1 if none was needed
     scale: float = 1.0
     #: metres taken off each side of the walls, because the readings fit far better so; else 0
