@@ -23,6 +23,7 @@ KEYS = [
     "hypotheses",
     "elsewhere",
     "protection",
+    "things",
     "evidence",
     "complete",
     "entropy",

@@ -313,7 +313,7 @@ def test_no_bytes(text: str) -> None:
 
 
 def test_some_numbers_are_enough() -> None:
-    parse = numbers(3, (8.0, 9.0))
+    parse = numbers(3, rest=(8.0, 9.0))
     assert parse("1,2,3") == (1.0, 2.0, 3.0, 8.0, 9.0)
     assert parse("1,2,3,4") == (1.0, 2.0, 3.0, 4.0, 9.0)
     assert parse("1,2,3,4,5") == (1.0, 2.0, 3.0, 4.0, 5.0)

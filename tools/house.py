@@ -24,9 +24,9 @@ from tools.script import parser_of, table_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
-    "__about__", "doors", "equality", "errors", "numbers", "ranges", "pose", "model", "geometry",
-    "texts", "options", "robot", "io", "features", "likelihoods", "search", "pipeline", "answers",
-    "choice", "filters", "simulation", "runs", "output", "live", "cli",
+    "__about__", "doors", "equality", "errors", "numbers", "pose", "texts", "ranges", "model",
+    "geometry", "options", "robot", "io", "features", "likelihoods", "search", "pipeline",
+    "answers", "choice", "filters", "simulation", "runs", "output", "live", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")
 """A module imports from its own room and from those before it; nothing from behind the wall."""
@@ -36,8 +36,8 @@ LONG = 60  # lines of code of a function, without what its signature declares
 LIMITS: Mapping[str, tuple[int, int]] = {
     "code of imgloc": (30_500, 20_000),
     "code of lab and plans": (4_600, 3_700),
-    "code of tools": (9_030, 8_000),
-    "code of tests": (29_310, 26_000),
+    "code of tools": (9_100, 8_000),
+    "code of tests": (29_430, 26_000),
     f"functions of more than {LONG} lines": (0, 0),
     "modules of imgloc that a file imports, median": (6, 6),
     "arrows back up": (0, 0),

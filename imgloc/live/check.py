@@ -20,7 +20,8 @@ from imgloc.io.messages import (
     seconds_of,
 )
 from imgloc.io.scanset import ScanSet
-from imgloc.live.node import Settings, ros_node
+from imgloc.live.node import ros_node
+from imgloc.live.settings import Settings
 from imgloc.live.sites import Maker, site_of
 from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Options

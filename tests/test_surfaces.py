@@ -1,0 +1,91 @@
+"""One declaration: command line, HTTP, ROS and Python have the same names, limits and texts."""
+
+import math
+import re
+from dataclasses import is_dataclass
+from typing import Any
+
+import pytest
+import typer.main
+
+from imgloc import options
+from imgloc.cli.app import program
+from imgloc.errors import ConfigError
+from imgloc.live import bounds, openapi, settings
+from imgloc.live.parameters import option, schema_of
+from imgloc.ranges import Declared, OneOf, Within, declared, help_of, value_of
+
+KINDS = (
+    options.Options, options.Known, options.Logs, options.Mounting, options.Drawn, options.Chosen,
+    options.Sensor, options.Followed, options.Reading, bounds.Bounds, settings.Settings,
+)  # fmt: skip
+#: Parameters of requests that no command has: names and ids, one scan of what was sent, a pose.
+OWN = {"map", "scans", "name", "topic", "index", "pose", "scale", "thinner", "bent", "allow_lossy",
+       "start", "count", "slice", "step", "headings", "at", "places", "region"}  # fmt: skip
+
+
+def typed() -> dict[str, set[str]]:
+    """The help of each option, by its name, of all commands that have it."""
+    found: dict[str, set[str]] = {}
+    waiting: list[Any] = [typer.main.get_command(program())]
+    while waiting:
+        one = waiting.pop()
+        waiting += getattr(one, "commands", {}).values()
+        for param in one.params:
+            found.setdefault(param.opts[0], set()).add(param.help or "")
+    return found
+
+
+HELP = typed()
+OPTIONS = [(kind, one) for kind in KINDS for one in declared(kind) if one.option]
+
+
+@pytest.mark.parametrize(("kind", "one"), OPTIONS, ids=lambda some: getattr(some, "name", ""))
+def test_the_command_line_has_each_option_as_it_is_declared(kind: Any, one: Declared) -> None:
+    flag = one.flag if one.flag.startswith("--") else ""
+    if flag and flag in HELP:
+        assert help_of(one) in HELP[flag]
+
+
+def asked() -> dict[str, list[Declared]]:
+    """The parameters of all requests by their names."""
+    found: dict[str, list[Declared]] = {}
+    for operation in (*openapi.OPERATIONS, openapi.TRACK):
+        for one in operation.parameters:
+            found.setdefault(one.name, []).append(one)
+    return found
+
+
+@pytest.mark.parametrize("name", sorted(asked()))
+def test_a_request_has_each_option_as_the_command_line(name: str) -> None:
+    options = [one for kind, one in OPTIONS if option(kind, one.name).name == name]
+    for there in asked()[name]:
+        same = [one for one in options if one.text == there.text]
+        assert bool(same) != (name in OWN) or there.text == "Method of the likelihood."
+        for one in same:
+            schema, limit = schema_of(there), one.limit
+            if isinstance(limit, Within):
+                factor = 180 / math.pi if one.in_degrees else 1.0
+                low, high = (round(bound * factor, 9) for bound in (limit.low, limit.high))
+                assert (schema["minimum"], schema["maximum"]) == (low, high)
+                assert schema["type"] == ("integer" if one.kind is int else "number")
+            if isinstance(limit, OneOf):
+                assert schema["enum"] == list(limit.names)
+            assert there.default == one.default or name == "semantics"
+
+
+@pytest.mark.parametrize(("kind", "one"), OPTIONS, ids=lambda some: getattr(some, "name", ""))
+def test_python_has_the_default_and_the_limits_of_the_text(kind: Any, one: Declared) -> None:
+    if is_dataclass(kind) and one.default is not None:
+        assert getattr(kind(), one.name) == one.default
+    if isinstance(one.limit, Within) and one.limit.high <= 1e5:
+        factor = 180 / math.pi if one.in_degrees else 1.0
+        assert one.limit.limits(factor) in help_of(one)
+        with pytest.raises(ConfigError, match="expected"):
+            value_of(one, str(2 * one.limit.high * factor + 1))
+
+
+def test_each_setting_of_the_node_has_a_text_and_a_default() -> None:
+    for one in declared(settings.Settings):
+        assert re.match(r"[A-Z].*[.\]]$", one.text, re.DOTALL), one.name
+        assert one.default is not None
