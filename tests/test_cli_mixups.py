@@ -319,11 +319,11 @@ def test_a_corridor_scanned_upside_down_has_not_aged(
 ) -> None:
     # Both sides of it are alike, so that most scans fit it mirrored, but for the doors.
     place = shared / "data" / "fr079"
-    some = load_scans(place / "scans.npz").scans[:28]
+    some = load_scans(place / "scans.npz").scans[:28:2]
     turned = tuple(scan if given else scan.flipped for scan in some)
     save_scans(tmp_path / "turned.npz", ScanSet(turned))
     run = call("localize", place / "map.yaml", tmp_path / "turned.npz", *given)
-    assert run.out.count(" unique ") > 14
+    assert run.out.count(" unique ") > 7
     assert "aged" not in run.err
     assert hint_of(run).startswith("scans like these fit at one place if mirrored: ")
     assert hint_of(run).endswith("Leave out --flipped" if given else "Try --flipped")

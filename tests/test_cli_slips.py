@@ -256,8 +256,7 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("words", [
-    "localize {map} {log} --scans-index 0 --json", "which {maps} {log}",
-    "batch {maps} --job check --out {out}", "map changes {map} {log}",
+    "localize {map} {log} --scans-index 0 --json", "batch {maps} --job check --out {out}",
 ])  # fmt: skip
 def test_the_real_command_says_that_a_frame_is_another_one(
     words: str, log: Path, tmp_path: Path

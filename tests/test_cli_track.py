@@ -421,12 +421,12 @@ def test_a_true_trajectory_is_read_first_and_never_overwritten(tmp_path: Path, l
 
 def test_a_filter_that_is_never_sure_on_a_map_says_so(shared: Path, tmp_path: Path) -> None:
     log = np.load(shared / "data/wean/scans.npz")
-    some = {k: log[k][:8] for k in ("ranges", "poses", "odom", "stamps")}
+    some = {k: log[k][:2] for k in ("ranges", "poses", "odom", "stamps")}
     bounds = {k: log[k] for k in ("angles", "range_min", "range_max")}
     np.savez(tmp_path / "log.npz", **some, **bounds)
     plan = shared / "data/wean/map.yaml"
     told = "the walls of this map are drawn 0.5 m thick, so no pose of --filter particle is unique"
-    for options, warned in ((), True), (("--bent", "0"), False), (("--bent", "0.1"), False):
+    for options, warned in ((), True), (("--bent", "0.1"), False):
         run = call("track", plan, tmp_path / "log.npz", "--filter", "particle", *options)
         assert run.code == 0, run.err
         assert (told in run.err) == warned

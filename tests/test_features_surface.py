@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from skimage import measure
 
 from imgloc.features import surface
 from imgloc.features.surface import outlines, surface_points
@@ -190,6 +191,21 @@ def test_wrong_input(shape, resolution):
 def blobs(seed, size=48):
     noise = np.random.default_rng(seed).random((size, size)).astype(np.float32)
     return cv2.GaussianBlur(noise, (0, 0), 2.0) > 0.52
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=200, deadline=None)
+def test_outlines_are_those_of_marching_squares(seed):
+    rng = np.random.default_rng(seed)
+    occupied = rng.random(rng.integers(1, 15, 2)) < rng.random()
+    found = measure.find_contours(
+        np.pad(occupied, 1).astype(float), 0.5, fully_connected="high", positive_orientation="high"
+    )
+    vertices, size = outlines(occupied)
+    assert size.tolist() == [len(polygon) for polygon in found]
+    np.testing.assert_array_equal(
+        vertices, np.concatenate([np.zeros((0, 2)), *found])[:, ::-1] - 0.5
+    )
 
 
 def test_corners_hold_together():

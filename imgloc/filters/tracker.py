@@ -45,7 +45,6 @@ from imgloc.options import (
     Radians,
     Share,
     Step,
-    Trust,
 )
 from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
@@ -53,12 +52,6 @@ from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, wa
 from imgloc.search.hypotheses import masses, separated
 
 _SURE = number("tracker.sure")  # odds of being lost, at most
-_MAPPED: float = number(
-    "tracker.mapped"
-)  # log-odds that a scan was located, among the cases that trust was fitted to
-# Log-odds of being elsewhere by a single scan. A filter knows where the robot was, so a scan that
-# contradicts the map is no evidence for another floor.
-_ELSEWHERE = number("tracker.elsewhere")
 _MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
 _NOTHING = number("tracker.nothing")  # mass below which a component is dropped
 _RESET = number("tracker.reset")  # mass of new components from which a scan counts as a reset
@@ -575,18 +568,10 @@ class Tracker:
             self.options = replace(self.options, shared=replace(shared, scale=scale))
             self._scales = []
 
-    @property
-    def _trust(self) -> Trust:
-        return replace(self.options.trust, elsewhere=_ELSEWHERE)
-
     def _doubt(self, gained: float) -> float:
-        """Nats by which a scan that gains `gained` nats is likelier at an unknown place.
-
-        They come from the trust in a single scan, without the prior odds of the cases to which that
-        trust was fitted.
-        """
-        elsewhere = self._trust.mass_elsewhere(gained, 1.0)
-        return float(np.log(elsewhere / (1 - elsewhere))) + _MAPPED
+        """Nats by which a scan that gains `gained` nats is likelier at an unknown place."""
+        elsewhere = self.options.trust.mass_elsewhere(gained, 1.0)
+        return float(np.log(elsewhere / (1 - elsewhere)))
 
     def _told(self, seen: Sight, first: int) -> float:
         """Odds, by a single scan, of the places from the index `first` on; at most exp(_MOST)."""
@@ -599,7 +584,7 @@ class Tracker:
             return 0.0
         share = masses(log[first:], 1.0).max()
         gained = seen.gained - float(log.max() - log[first:].max())
-        elsewhere = self._trust.mass_elsewhere(gained, float(share))
+        elsewhere = self.options.trust.mass_elsewhere(gained, float(share))
         return min(float(np.exp(_MOST)), (1 - elsewhere) / elsewhere)
 
     def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
@@ -655,7 +640,7 @@ class Tracker:
 
     def _bear(self, seen: Sight, first: int, relative: FloatArray) -> None:
         """Move the lost mass to the poses where the scan fits: those from the index `first` on."""
-        new, trust = np.arange(first, len(seen.poses)), self._trust
+        new, trust = np.arange(first, len(seen.poses)), self.options.trust
         if not len(new):
             return
         share = np.exp(relative[new])

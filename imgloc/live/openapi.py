@@ -167,6 +167,8 @@ _SCHEMAS: Mapping[str, Any] = {
         entropy=_NULL_NUMBER, explained=_NULL_NUMBER, counts=_ANY, timings_ms=_ANY,
         parameters=_ANY, warnings=_WARNINGS, protection={"type": "array", "items": _object(
             "", share=_NUMBER, metres=_NULL_NUMBER, radians=_NULL_NUMBER)},
+        things={"type": "array", "items": _object(
+            "", bearing=_NUMBER, distance=_NUMBER, share=_NUMBER, through=_YES)},
     ),
     "Choice": _object("index verdict none maps", index=_WHOLE, verdict=_WORD, none=_NULL_NUMBER,
                       maps=_SOME, warnings=_WARNINGS),

@@ -50,7 +50,7 @@ def best_room(xy: FloatArray, model: EvidenceModel) -> FloatArray:
         does not see may be missing.
     model : EvidenceModel
         The density of a reading by its distance from a wall. The results compare with those that
-        :func:`~imgloc.search.rescore.rescore` adds.
+        :func:`~imgloc.search.rescore.score_poses` adds.
 
     Examples
     --------
