@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.answers.logcheck import Finding, LogReport
+from imgloc.answers.causes import Cause
+from imgloc.answers.logcheck import LogReport
 from imgloc.answers.scanmotion import AGREES
 from imgloc.errors import as_options
 from imgloc.features.scanpoints import scan_xy
@@ -49,7 +50,7 @@ def log_row(
     }
 
 
-def _finding(finding: Finding) -> dict[str, Any]:
+def _finding(finding: Cause) -> dict[str, Any]:
     return {
         "code": finding.code,
         "text": as_options(finding.text),
