@@ -1,11 +1,11 @@
 """`imgloc serve`, `imgloc open`: answers over HTTP, and a page to look at them."""
 
 import logging
-import math
 import os
 import re
 import socket
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,15 +13,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Typed
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
 from imgloc.live.bounds import Bounds
+from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Chosen, Logs, Mounting, Options
 from imgloc.ranges import Option, Within, declared, option
 
 if TYPE_CHECKING:
+    from imgloc.io.scanset import ScanSet
     from imgloc.live.localizer import Localizer
+    from imgloc.runs.opening import Taken
 
 PORT = 8080
 _NEEDED = ("starlette", "uvicorn", "websockets", "python_multipart", "prometheus_client")
@@ -87,6 +91,7 @@ def open(  # noqa: A001 (the command's name)
     scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,
     port: Port = option(0, "Port to listen at. [default: any that is free]"),
     kept: opt.Kept,
+    typed: Typed,
 ) -> None:
     """Look at a map and scans in the browser: answers in place, and why.
 
@@ -103,9 +108,11 @@ def open(  # noqa: A001 (the command's name)
         how = inputs.as_recorded(logs, chosen, mounting)
         there = inputs.desk_of(**vars(taken)).scans(scans_path, how)
         mounting.check(there.scans.scans)
-        words = (*_typed(logs), *_typed(mounting))
-        indices = None if len(there.indices) == there.total else tuple(there.indices)
-        opened = ScansHeld(there.name, there.scans, (), words, indices)
+        chosen_few = None if len(there.indices) == there.total else tuple(there.indices)
+        opened = ScansHeld(
+            there.name, _recorded(there, logs, mounting), options=_passed(typed, Logs, vars(logs)),
+            indices=chosen_few, taken=_taken(logs, mounting),
+        )  # fmt: skip
     core, paths = _core([map_path], reading, taken, kept)
 
     def show(address: str) -> None:
@@ -115,21 +122,38 @@ def open(  # noqa: A001 (the command's name)
     _run(lambda: Service(core, given=Begun(paths, opened)), _LOCAL, port, show)
 
 
-def _typed(group: Any) -> list[str]:
-    """The options of a group that are not as by default, as they are typed."""
-    out = list[str]()
-    kind: Any = type(group)
-    for part in declared(kind):
-        value = getattr(group, part.name)
-        if part.option is not None and value != part.default:
-            value = math.degrees(value) if part.in_degrees else value
-            text = (
-                ",".join(map(str, value))
-                if isinstance(value, Iterable) and not isinstance(value, str)
-                else f"{value}"
-            )
-            out.append(part.flag if value is True else f"{part.flag}={text}")
-    return out
+_TAKEN = ("scale", "range_max", "sensor", "flipped")  # the page has controls for them
+
+
+def _taken(logs: Logs, mounting: Mounting) -> dict[str, Any]:
+    """How the scans were taken, as the service's parameters say it; None for what is as usual."""
+    said = {"range_scale": None if logs.scale == 1 else logs.scale, "range_max": logs.range_max}
+    sensor = None if mounting.sensor is None else ",".join(map(str, mounting.sensor))
+    return {**said, "sensor": sensor, "flipped": mounting.flipped or None}
+
+
+def _recorded(there: "Taken", logs: Logs, mounting: Mounting) -> "ScanSet":
+    """The scans as the page has them before it applies how they were taken, which it may change."""
+
+    def back(scan: LaserScan, recorded: LaserScan) -> LaserScan:
+        if mounting.sensor is not None:
+            recorded = replace(recorded, T_base_laser=None)
+        if logs.straighten == "no":
+            return recorded
+        scan = scan.flipped if mounting.flipped else scan
+        ranges, pace = scan.ranges / logs.scale, scan.time_increment
+        return replace(recorded, ranges=ranges, angles=scan.angles, time_increment=pace)
+
+    scans = tuple(map(back, there.scans.scans, there.recorded.scans))
+    return replace(there.recorded, scans=scans)
+
+
+def _passed(typed: Typed, kind: Any, values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """The options of a group that were typed: as a command takes them, and as Python does."""
+    parts = [one for one in declared(kind) if one.flag in typed and one.name not in _TAKEN]
+    given = {one.name: values[one.name] for one in parts}
+    plain = {key: tuple(v) if isinstance(v, Pose2D) else v for key, v in given.items()}
+    return tuple(("=".join(typed[one.flag]), f"{one.name}={plain[one.name]!r}") for one in parts)
 
 
 def _check_installed() -> None:

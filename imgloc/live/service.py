@@ -79,8 +79,11 @@ class ScansHeld:
     name: str
     scans: ScanSet
     warnings: tuple[str, ...] = ()  #: of its reader
-    options: tuple[str, ...] = ()  #: of the command that has opened it
+    #: how it was read: options of the command that has opened it, each with Python's argument
+    options: tuple[tuple[str, str], ...] = ()
     indices: tuple[int, ...] | None = None  #: of these scans in the file, if they are not all
+    #: how its scans were taken, by parameters of requests: the page begins with it
+    taken: Mapping[str, Any] = field(default_factory=dict)
 
     def about(self, id_: str) -> dict[str, Any]:
         """What is in it."""
@@ -90,7 +93,7 @@ class ScansHeld:
         return (
             {"id": id_, "name": self.name, "scans": len(s), "readings": readings}
             | {key: value is not None for key, value in known.items()}
-            | {"warnings": self.warnings, "options": self.options, "indices": self.indices}
+            | {key: getattr(self, key) for key in ("warnings", "options", "indices", "taken")}
         )
 
 

@@ -686,9 +686,32 @@ def test_open_takes_the_options_of_a_log(browser: Any, log: Path, tmp_path: Path
         assert shown_pose(page)[:2] == pytest.approx(POSES[2, :2], abs=0.1)
         sync.expect(page.locator("#map option:checked")).to_have_text("attic")
         text = copied(page, "c")
-        assert "--scans-index 2 --range-scale=0.001 --range-max=20.0 --flipped" in text
+        assert "--scans-index 2 --flipped --range-max=20 --range-scale=0.001" in text
         row = rows(call(*shlex.split(text)[1:], "--json").out)[0]
         assert (row["index"], row["verdict"]) == (2, "unique")
+        # What is in force is shown, another value replaces it, and it is of this log alone.
+        flipped, reach = page.get_by_label("Upside down"), page.get_by_label("Reach")
+        sync.expect(flipped).to_be_checked()
+        sync.expect(reach).to_have_value("20")
+        sync.expect(page.get_by_label("1 in the file is")).to_have_value("0.001")
+        for value, longest in (("2", 2), ("", 30)):
+            reach.fill(value)
+            reach.press("Enter")
+            counted(page, int((kept[2].ranges < longest).sum()))
+        flipped.uncheck()
+        sync.expect(page.locator("#live")).not_to_contain_text("unique")
+        assert "--flipped" not in copied(page, "c")
+        drop(page, (log.name, log.read_bytes()))
+        sync.expect(page.locator("#live")).to_contain_text("Scan 0: unique.")
+        sync.expect(page.get_by_label("1 in the file is")).to_have_value("")
+
+
+def counted(page: Any, count: int) -> None:
+    """Wait until so many readings are distances to something."""
+    kinds = [f"#count-{kind}" for kind in ("agrees", "orientation", "visibility", "unexplained")]
+    script = """([kinds, count]) => count === kinds.map(
+        (one) => Number(document.querySelector(one).textContent)).reduce((a, b) => a + b)"""
+    page.wait_for_function(script, arg=[kinds, count])
 
 
 def test_how_scans_were_taken_is_said_on_the_page_and_hinted_at(page: Any, log: Path) -> None:

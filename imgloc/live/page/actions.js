@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { compose, holds } from "./geometry.js";
 import { priorOf, RADIUS, TURN } from "./known.js";
 import { prepared } from "./scan.js";
-import { change, state } from "./state.js";
+import { change, state, USUAL } from "./state.js";
 
 /** Layers that are a likelihood of a scan, with a slider through their headings. */
 export const METHODS = ["cbml", "cbml-o", "ght", "ght-v", "beam"];
@@ -132,23 +132,25 @@ export async function addScans(file, said = {}) {
   return Boolean(set);
 }
 
-/** Look at the first of some scans that the service holds. */
+/** Look at the first of some scans that the service holds; how they were taken is theirs alone. */
 export function openSet(set, from = null) {
   items = new Map();
   files = from;
-  change({ set, scan: null, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
+  const said = Object.entries(set.taken).filter(([, value]) => value !== null).map(([key, value]) => [key, value === true || String(value)]);
+  change({ set, taken: { ...USUAL, ...Object.fromEntries(said) }, scan: null, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
   selectScan(0);
 }
 
 /** A scan of the file, as scan.js prepares it. */
 export async function item(index) {
-  if (!items.has(index)) {
+  const here = items; // others, if somebody says meanwhile that they were taken in another way
+  if (!here.has(index)) {
     const start = index - (index % CHUNK), { id } = state.set;
     const some = await aboutScans((now) => api.items(now, { start, count: CHUNK, ...takenOf(state.taken) }));
     if (id !== state.set.id && !files) return null;
-    for (const one of some) items.set(one.index, prepared(one));
+    for (const one of some) here.set(one.index, prepared(one));
   }
-  return items.get(index);
+  return here.get(index);
 }
 
 /** Look at a scan, and find where it is. */

@@ -171,9 +171,16 @@ function listenToControls() {
   onClick("copy-python", () => state.map && copy(script(state), "Python"));
 }
 
+const TAKEN = [["reach", "range_max"], ["unit", "range_scale"], ["sensor", "sensor"]]; // texts
+
+function showTaken() {
+  $("flipped").checked = state.taken.flipped;
+  for (const [id, key] of TAKEN) $(id).value = state.taken[key];
+}
+
 function listenToTaken() {
   on("flipped", "change", ({ target }) => actions.take({ flipped: target.checked }));
-  for (const [id, key] of [["reach", "range_max"], ["unit", "range_scale"], ["sensor", "sensor"]]) {
+  for (const [id, key] of TAKEN) {
     on(id, "change", ({ target }) => {
       const value = target.value.replaceAll(" ", "");
       if (target.reportValidity()) actions.take({ [key]: value });
@@ -216,7 +223,7 @@ async function start() {
   watch(["picture"], loadLayer);
   watch(["layer", "slice"], () => actions.showLayer());
   watch(["layer"], () => { $("layer").value = state.layer; });
-  watch(["taken"], () => { $("flipped").checked = state.taken.flipped; });
+  watch(["taken"], showTaken);
   watch(["scan"], () => { if (actions.METHODS.includes(state.layer)) actions.showLayer(); });
   watch(["set", "index", "following"], showLog);
   watch(["tool"], showTool);

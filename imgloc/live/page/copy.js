@@ -22,9 +22,9 @@ function filesOf({ map, set }) {
 /** How an image without a YAML is read. */
 const readingOf = ({ reading }) => reading ?? {};
 
-/** The options of how the scans were taken: by the page, and by the command that opened them. */
+/** The options of how the scans are read, as they were opened, and were taken, as the page says. */
 const takenOptions = ({ taken, set }) => [
-  ...(set?.options ?? []),
+  ...(set?.options ?? []).map(([typed]) => typed),
   ...Object.entries(takenOf(taken)).map(([key, value]) => (value === true ? `--${key}` : `--${key.replace("_", "-")}=${value}`)),
 ];
 
@@ -104,7 +104,7 @@ export function script(state) {
 /** The scan as it was taken. */
 function takenLines({ taken: { flipped, range_max: cut, range_scale: scale, sensor }, set }) {
   const lines = [];
-  if (set.options?.length) lines.push(`# opened with ${set.options.join(" ")}`);
+  if (set.options.length) lines.push(`# opened with ${set.options.map(([typed]) => typed).join(" ")}`);
   if (scale) lines.push(`scan = scan.scaled(${scale})`);
   if (flipped) lines.push("scan = scan.flipped");
   const fields = [];

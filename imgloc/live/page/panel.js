@@ -98,7 +98,7 @@ function showHypotheses() {
 /** By how much a pose fits worse than the best hypothesis, as odds. */
 function comparison() {
   const { fit, answer, scan, index, chosen } = state, best = answer?.hypotheses[0];
-  if (!best || answer.index !== index || fit.of !== scan) return "";
+  if (!best || answer.index !== index || fit.of !== scan || fit.log_likelihood === null) return "";
   if (answer.parameters?.method !== "fused" || chosen === 0) return "";
   const nats = fit.log_likelihood - best.log_likelihood;
   const worth = Math.exp(Math.min(50, Math.abs(nats) / answer.evidence.temperature));
@@ -112,7 +112,7 @@ function showPose() {
   if (!pose || !scan) return;
   say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : chosen === -1 ? "Pose set by hand" : "Pose by the tracker");
   say($("pose-where"), poseWords(pose));
-  say($("pose-score"), fit ? `Fit ${fixed(fit.per_reading, 2)} of ${fixed(fit.best, 2)} (log-likelihood per reading).` : "");
+  say($("pose-score"), fit && fit.per_reading !== null ? `Fit ${fixed(fit.per_reading, 2)} of ${fixed(fit.best, 2)} (log-likelihood per reading).` : "");
   say($("pose-against"), fit ? comparison() : "");
   say($("pose-stands"), fit && !fit.stands ? "No sensor can be here: it is in a wall, or off the map." : "");
   const counts = fit?.counts ?? {}, total = Math.max(1, Object.values(counts).reduce((sum, n) => sum + n, 0));

@@ -1,5 +1,8 @@
 // What the page shows, in one object, and who wants to hear of its changes.
 
+/** How scans are taken, unless somebody says otherwise. */
+export const USUAL = { flipped: false, range_max: "", range_scale: "", sensor: "" };
+
 export const state = {
   maps: [], // rows of the service: {name, width, height, resolution, origin, path ...}
   map: null, // the one that is looked at
@@ -7,7 +10,7 @@ export const state = {
   index: 0, // of the scan that is looked at
   scan: null, // that scan, as scan.js prepares it; null until it is here
   method: "fused",
-  taken: { flipped: false, range_max: "", range_scale: "", sensor: "" }, // how the scans were taken
+  taken: USUAL, // how the scans were taken
   known: { near: null, region: null, clearance: 0 },
   busy: "", // what the service is asked at the moment
   trouble: "", // the last error, in a sentence
