@@ -17,6 +17,7 @@ from imgloc.cli.command import Typed
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
+from imgloc.io.maps import YAML_ENDINGS
 from imgloc.live.bounds import Bounds
 from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Chosen, Logs, Mounting, Options
@@ -25,6 +26,7 @@ from imgloc.ranges import Option, Within, declared, option
 if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
     from imgloc.live.localizer import Localizer
+    from imgloc.live.service import Begun
     from imgloc.runs.opening import Taken
 
 PORT = 8080
@@ -58,6 +60,7 @@ def serve(
     ),
     bounds: Bounds,
     kept: opt.Kept,
+    typed: Typed,
 ) -> None:
     """Answer over HTTP: where scans are, from which map; and a page at / that shows why.
 
@@ -66,10 +69,10 @@ def serve(
     """
     _check_installed()
     from imgloc.live.guard import Access
-    from imgloc.live.service import Begun, Service
+    from imgloc.live.service import Service
 
     access = Access(host, token or os.environ.get("IMGLOC_TOKEN"), tuple(allow_host))
-    core, paths = _core(maps, reading, taken, kept)
+    core, begun = _core(maps, reading, taken, kept, typed)
 
     def show(address: str) -> None:
         emit(address)
@@ -77,7 +80,7 @@ def serve(
             there = re.sub(r"//(0\.0\.0\.0|\[::\])", f"//{socket.gethostname()}", address)
             say(f"in a browser: {there}/#token=TOKEN, with your token instead of TOKEN")
 
-    _run(lambda: Service(core, access, bounds, Begun(paths)), host, port, show)
+    _run(lambda: Service(core, access, bounds, begun), host, port, show)
 
 
 def open(  # noqa: A001 (the command's name)
@@ -101,7 +104,7 @@ def open(  # noqa: A001 (the command's name)
     import webbrowser
 
     from imgloc.cli import inputs
-    from imgloc.live.service import Begun, ScansHeld, Service
+    from imgloc.live.service import ScansHeld, Service
 
     opened = None
     if scans_path is not None:
@@ -113,13 +116,13 @@ def open(  # noqa: A001 (the command's name)
             there.name, _recorded(there, logs, mounting), options=_passed(typed, Logs, vars(logs)),
             indices=chosen_few, taken=_taken(logs, mounting),
         )  # fmt: skip
-    core, paths = _core([map_path], reading, taken, kept)
+    core, begun = _core([map_path], reading, taken, kept, typed)
 
     def show(address: str) -> None:
         emit(address)
         webbrowser.open(address)
 
-    _run(lambda: Service(core, given=Begun(paths, opened)), _LOCAL, port, show)
+    _run(lambda: Service(core, given=replace(begun, opened=opened)), _LOCAL, port, show)
 
 
 _TAKEN = ("scale", "range_max", "sensor", "flipped")  # the page has controls for them
@@ -148,9 +151,11 @@ def _recorded(there: "Taken", logs: Logs, mounting: Mounting) -> "ScanSet":
     return replace(there.recorded, scans=scans)
 
 
-def _passed(typed: Typed, kind: Any, values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+def _passed(
+    typed: Typed, kind: Any, values: Mapping[str, Any], without: Sequence[str] = _TAKEN
+) -> tuple[tuple[str, str], ...]:
     """The options of a group that were typed: as a command takes them, and as Python does."""
-    parts = [one for one in declared(kind) if one.flag in typed and one.name not in _TAKEN]
+    parts = [one for one in declared(kind) if one.flag in typed and one.name not in without]
     given = {one.name: values[one.name] for one in parts}
     plain = {key: tuple(v) if isinstance(v, Pose2D) else v for key, v in given.items()}
     return tuple(("=".join(typed[one.flag]), f"{one.name}={plain[one.name]!r}") for one in parts)
@@ -169,10 +174,12 @@ def _core(
     reading: opt.MapImages,
     taken: opt.Resources,
     kept: opt.Kept,
-) -> "tuple[Localizer, dict[str, str]]":
-    """The maps, which are prepared from now on, and what each is called on a command line."""
+    typed: Typed,
+) -> "tuple[Localizer, Begun]":
+    """The maps, which are prepared from now on, and how each is read on a command line."""
     from imgloc.cli import inputs
     from imgloc.live.localizer import Localizer
+    from imgloc.live.service import Begun
 
     options = Options(**vars(taken))
     folder, paths = inputs.kept_in(kept), _named(given, reading)
@@ -180,7 +187,15 @@ def _core(
     makers, keep = inputs.site_makers(paths, maps, options, folder)
     core = Localizer(makers, options, background=True, prepared=keep)
     bundled = {opt.find_map(path): display(path) for path in given}
-    return core, {name: bundled.get(path, display(path)) for name, path in paths.items()}
+    how = {
+        name: _passed(
+            typed, opt.MapImages, reading,
+            ("resolution", "origin") if maps.many and path.suffix.lower() in YAML_ENDINGS else (),
+        )
+        for name, path in paths.items()
+    }  # fmt: skip
+    names = {name: bundled.get(path, display(path)) for name, path in paths.items()}
+    return core, Begun(names, options=how)
 
 
 def _named(given: Sequence[Path], reading: opt.MapImages) -> dict[str, Path]:

@@ -107,6 +107,8 @@ class Begun:
     #: paths of the maps, by name, as the command line has them
     paths: Mapping[str, str] = field(default_factory=dict)
     opened: ScansHeld | None = None  #: scans that the page shows first
+    #: by which the maps are read, by name, as those of scans
+    options: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -378,7 +380,7 @@ class Service:
         with contextlib.suppress(Refused):
             label = self._maps.get(name)
         return {"id": name, "name": label or name, "uploaded": label is not None,
-                **self._about[features]}  # fmt: skip
+                "options": self.given.options.get(name, ()), **self._about[features]}  # fmt: skip
 
     async def _list(self, ask: Ask) -> Response:
         names, b, opened = self._names, self.bounds, self.given.opened

@@ -706,6 +706,61 @@ def test_open_takes_the_options_of_a_log(browser: Any, log: Path, tmp_path: Path
         sync.expect(page.get_by_label("1 in the file is")).to_have_value("")
 
 
+OPENED = {
+    "--flipped --sensor=0.3,0,-0.1": "turned.npz",
+    "--range-scale=0.001 --scans-index=2:4 --range-max=9": "mm.npz",
+    "--topic=/rear/scan --range-max=15 --odom=scans": "two.bag",
+    "--fov-deg=357 --max-bad=0.5": "plain.csv",
+    "--straighten=backward --sensor=0.3,0,0 --flipped --scans-index=3": "turning.npz",
+}
+
+
+def made(log: Path, path: Path) -> None:
+    """Write the scans of a log in another way, by the name of the file."""
+    kept = load_scans(log)
+    if path.suffix == ".npz":
+        times, turn = (1000 if path.stem == "mm" else 1), (-1 if path.stem[0] == "t" else 1)
+        pace = 0.004 if path.stem == "turning" else 0.0
+        scans = [LaserScan(times * s.ranges, turn * s.angles, range_max=times * 30.0,
+                           time_increment=pace) for s in kept.scans]  # fmt: skip
+        save_scans(path, ScanSet(tuple(scans), None, kept.stamps, kept.odom))
+    elif path.suffix == ".csv":
+        rows = [",".join(f"{r:.4f}" for r in scan.ranges) for scan in kept.scans]
+        path.write_text("\n".join([*rows, "1,2,oops"]))
+    else:
+        from test_io_bags import SCAN, messages_of, write
+
+        m, angles = messages_of(ros1=True), np.linspace(-1.5, 1.5, 181)
+        seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), POSES, angles, seed=2)
+        scans = [("/front/scan", m.scan(1.0)), *(("/rear/scan", m.scan(2.0 + k, ranges=r))
+                                                 for k, r in enumerate(seen))]  # fmt: skip
+        write(path, "bag", [(topic, SCAN, scan) for topic, scan in scans])
+
+
+@pytest.mark.parametrize("words", OPENED)
+def test_what_is_copied_gives_what_the_page_shows(
+    browser: Any, log: Path, tmp_path: Path, words: str
+) -> None:
+    path = tmp_path / OPENED[words]
+    made(log, path)
+    there = ["--resolution=0.1", "--origin=1,2,0.1", MAPS / "visibility.png", path, *words.split()]
+    with (
+        served("open", *there, BROWSER="true") as one,
+        opened(browser, one.address) as page,
+    ):
+        said = answered(page)
+        texts = copied(page, "c"), copied(page, "y")
+        shown = shown_pose(page)
+    row = rows(call(*shlex.split(texts[0])[1:], "--json").out)[0]
+    values: dict[str, Any] = {}
+    exec(texts[1], values)
+    best = values["answer"].best
+    assert f": {row['verdict']}. " in said
+    assert values["answer"].verdict == row["verdict"] != "no-match"
+    for x, y, theta in ([row["hypotheses"][0][key] for key in ("x", "y", "theta")], best):
+        assert (x, y, np.rad2deg(theta)) == pytest.approx(shown, abs=0.051)
+
+
 def counted(page: Any, count: int) -> None:
     """Wait until so many readings are distances to something."""
     kinds = [f"#count-{kind}" for kind in ("agrees", "orientation", "visibility", "unexplained")]

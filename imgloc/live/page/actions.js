@@ -92,14 +92,20 @@ function nameOf(file, image, folder) {
   return plain.find((name) => name && name !== "map") ?? "map";
 }
 
+/** What an image does not say, as `imgloc open` says how a file was read: an option, and Python's argument. */
+const optionsOf = (reading) => Object.entries(reading).map(([key, value]) => [
+  `--${key.replaceAll("_", "-")}${value === true ? "" : `=${value}`}`,
+  `${key}=${value === true ? "True" : key === "origin" ? `(${value})` : value}`,
+]);
+
 /** Give the service a map, and look at it. */
 export async function addMap(image, yaml, reading, folder = "") {
   const file = (yaml ?? image).name, name = nameOf(yaml ?? image, image, folder);
   const map = await attempt(`Reading ${image.name}`, () => api.uploadMap(image, yaml, { name, ...reading }));
   if (!map) return false;
-  const known = { ...map, file, reading: yaml ? null : reading };
+  const known = { ...map, file, options: optionsOf(reading) };
   change({ maps: [...state.maps, known] });
-  const mine = [...kept(), { id: map.id, file, reading: known.reading }];
+  const mine = [...kept(), { id: map.id, file, options: known.options }];
   try {
     sessionStorage.setItem(MINE, JSON.stringify(mine));
   } catch { /* the browser keeps nothing: after a reload the map is gone */ }
