@@ -477,8 +477,8 @@ def test_the_copied_command_and_python_give_the_same_answer(
     assert sum(values["rays"].counts.values()) == len(ANGLES)
 
 
-def test_a_region_is_copied_as_python(
-    page: Any, log: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_region_is_copied_and_what_was_copied_is_shown_until_it_changes(
+    page: Any, log: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     drop(page, (log.name, log.read_bytes()))
     answered(page)
@@ -491,8 +491,18 @@ def test_a_region_is_copied_as_python(
     values: dict[str, Any] = {}
     exec(copied(page, "y"), values)
     best = values["answer"].best
-    sync.expect(page.locator("#note")).to_be_hidden(timeout=WAIT)
     assert shown_pose(page)[:2] == pytest.approx((best.x, best.y), abs=0.011)
+    text = copied(page, "c")
+    sync.expect(page.locator("#note")).to_contain_text("It reads region.png: press “Save region”")
+    with page.expect_download() as given:
+        page.get_by_role("button", name="Save region").click()
+    given.value.save_as(tmp_path / "region.png")
+    monkeypatch.chdir(tmp_path)
+    row = rows(call(*shlex.split(text.replace("log.npz", str(log)))[1:], "--json").out)[0]
+    assert row["hypotheses"][0]["x"] == pytest.approx(best.x, abs=0.05)
+    sync.expect(page.locator("#copied")).to_be_visible()
+    page.get_by_role("button", name="Forget").click()
+    sync.expect(page.locator("#copied")).to_be_hidden()
 
 
 def test_a_file_that_is_cut_says_what_is_left_out(page: Any) -> None:

@@ -3,7 +3,7 @@
 import * as actions from "./actions.js";
 import * as api from "./api.js";
 import { onScheme } from "./colours.js";
-import { command, script } from "./copy.js";
+import { command, REGION, script } from "./copy.js";
 import { $, download, make, say } from "./dom.js";
 import { acceptFiles } from "./files.js";
 import { boxOf, corners, radians } from "./geometry.js";
@@ -110,16 +110,32 @@ function showTool() {
   canvas.dataset.cursor = state.tool === "move" ? "" : "draw";
 }
 
-async function copy(text, what) {
+let copying = null; // what makes the text that was copied: command or script
+
+/** Copy what is seen; a file that the text needs, and only the page can make, is named. */
+async function copy(make) {
+  const text = make(state), what = make === command ? "command" : "Python";
+  const needs = make === command && state.set && state.known.region ? `It reads ${REGION}: press “Save region”, and run it where that file is.` : "";
   try {
     await navigator.clipboard.writeText(text);
-    change({ note: `Copied as ${what}.` });
+    change({ note: `Copied as ${what}. ${needs}` });
   } catch { // the page is no secure context, or that is not allowed: it can be copied by hand
-    change({ note: "" });
+    change({ note: needs });
   }
+  copying = make;
+  say($("copied-needs"), needs);
   $("copied").value = text;
   $("copied").rows = Math.min(16, text.split("\n").length);
   $("copied").hidden = false;
+  closeCopied();
+}
+
+/** Do not show any more what was copied, once something else is seen. */
+function closeCopied() {
+  if ($("copied").hidden || $("copied").value === copying(state)) return;
+  $("copied").value = "";
+  $("copied").hidden = true;
+  say($("copied-needs"), "");
 }
 
 const on = (id, type, listener) => $(id).addEventListener(type, listener);
@@ -167,8 +183,8 @@ function listenToControls() {
     download(file, `${state.set.name.replace(/^.*[/\\]|\.[^.]*$/g, "")}-marked.npz`);
     change({ unsaved: false });
   });
-  onClick("copy-command", () => state.map && copy(command(state), "command"));
-  onClick("copy-python", () => state.map && copy(script(state), "Python"));
+  onClick("copy-command", () => state.map && copy(command));
+  onClick("copy-python", () => state.map && copy(script));
 }
 
 const TAKEN = [["reach", "range_max"], ["unit", "range_scale"], ["sensor", "sensor"]]; // texts
@@ -206,7 +222,7 @@ function listenToKnown() {
   onClick("save-region", async () => {
     const { map, known } = state;
     const image = await actions.attempt("Drawing", () => api.regionImage(map.id, regionText(known.region)));
-    if (image) download(image, "region.png");
+    if (image) download(image, REGION);
   });
 }
 
@@ -224,6 +240,7 @@ async function start() {
   watch(["layer", "slice"], () => actions.showLayer());
   watch(["layer"], () => { $("layer").value = state.layer; });
   watch(["taken"], showTaken);
+  watch(["map", "set", "index", "scan", "taken", "known", "method", "layer", "seen", "beliefs", "pose", "chosen"], closeCopied);
   watch(["scan"], () => { if (actions.METHODS.includes(state.layer)) actions.showLayer(); });
   watch(["set", "index", "following"], showLog);
   watch(["tool"], showTool);

@@ -11,7 +11,7 @@ export function quoted(word) {
 
 const python = (text) => JSON.stringify(text);
 const number = (value) => String(Number(value.toFixed(4)));
-const REGION = "region.png";
+export const REGION = "region.png"; // what the image of a region is called
 
 /** The files of what is seen: where they are, as far as the page can know. None looks like an option. */
 function filesOf({ map, set }) {
