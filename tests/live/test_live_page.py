@@ -372,7 +372,8 @@ def test_a_slider_goes_along_the_log_and_the_tracker_follows_it(page: Any, log: 
     assert any("the tracker says" in text for text in page.evaluate("[...heard]"))
     counts = [page.locator(f"#count-{kind}").inner_text() for kind in ("agrees", "unexplained")]
     assert int(counts[0]) > int(counts[1])
-    sync.expect(page.locator("#number")).to_have_text(f"scan {last} of 0 to {last}")
+    numbers = f"Scan {last}. The first is 0, the last {last}."
+    sync.expect(page.locator("#number")).to_have_text(numbers)
     sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
     tracked = page.locator("#tracked").inner_text()
     row = rows(call("track", MAPS / "visibility.yaml", log, "--json").out)[-1]
@@ -679,26 +680,21 @@ def test_open_shows_a_map_and_scans(browser: Any, log: Path) -> None:
 
 
 def test_open_takes_the_options_of_a_log(browser: Any, log: Path, tmp_path: Path) -> None:
-    kept, folder = load_scans(log), tmp_path / "attic"
-    hung = [LaserScan(1000 * s.ranges, -s.angles, range_max=30_000.0) for s in kept.scans]
-    save_scans(tmp_path / "hung.npz", ScanSet(tuple(hung)))
+    folder = tmp_path / "attic"
+    made(log, tmp_path / "turned mm.npz")
     folder.mkdir()
     yaml = (MAPS / "visibility.yaml").read_text()
     (folder / "map.yaml").write_text(yaml)
     (folder / "visibility.png").write_bytes((MAPS / "visibility.png").read_bytes())
     words = ("--flipped", "--range-scale", 0.001, "--scans-index", "2:4", "--range-max", 20)
-    there = folder / "map.yaml", tmp_path / "hung.npz"
+    there = folder / "map.yaml", tmp_path / "turned mm.npz"
     with (
         served("open", *there, *words, BROWSER="true") as one,
         opened(browser, one.address) as page,
     ):
-        assert "Scan 0: unique." in answered(page)
+        assert "Scan 2: unique." in answered(page, 2)
         assert shown_pose(page)[:2] == pytest.approx(POSES[2, :2], abs=0.1)
         sync.expect(page.locator("#map option:checked")).to_have_text("attic")
-        text = copied(page, "c")
-        assert "--scans-index 2 --flipped --range-max=20 --range-scale=0.001" in text
-        row = rows(call(*shlex.split(text)[1:], "--json").out)[0]
-        assert (row["index"], row["verdict"]) == (2, "unique")
         # What is in force is shown, another value replaces it, and it is of this log alone.
         flipped, reach = page.get_by_label("Upside down"), page.get_by_label("Reach")
         sync.expect(flipped).to_be_checked()
@@ -707,7 +703,8 @@ def test_open_takes_the_options_of_a_log(browser: Any, log: Path, tmp_path: Path
         for value, longest in (("2", 2), ("", 30)):
             reach.fill(value)
             reach.press("Enter")
-            counted(page, int((kept[2].ranges < longest).sum()))
+            beyond = int((load_scans(log)[2].ranges >= longest).sum())
+            sync.expect(page.locator("#count-no_return")).to_have_text(str(beyond))
         flipped.uncheck()
         sync.expect(page.locator("#live")).not_to_contain_text("unique")
         assert "--flipped" not in copied(page, "c")
@@ -729,7 +726,7 @@ def made(log: Path, path: Path) -> None:
     """Write the scans of a log in another way, by the name of the file."""
     kept = load_scans(log)
     if path.suffix == ".npz":
-        times, turn = (1000 if path.stem == "mm" else 1), (-1 if path.stem[0] == "t" else 1)
+        times, turn = (1000 if "mm" in path.stem else 1), (-1 if path.stem[0] == "t" else 1)
         pace = 0.004 if path.stem == "turning" else 0.0
         scans = [LaserScan(times * s.ranges, turn * s.angles, range_max=times * 30.0,
                            time_increment=pace) for s in kept.scans]  # fmt: skip
@@ -758,10 +755,16 @@ def test_what_is_copied_gives_what_the_page_shows(
         served("open", *there, BROWSER="true") as one,
         opened(browser, one.address) as page,
     ):
-        said = answered(page)
+        number = int((re.findall(r"index=(\d)", words) or "0")[0])
+        said = answered(page, number)
+        sync.expect(page.locator("#number")).to_contain_text(f"Scan {number}")
         texts = copied(page, "c"), copied(page, "y")
-        shown = shown_pose(page)
+        shown, robot = shown_pose(page), page.locator("#pose-robot").inner_text()
     row = rows(call(*shlex.split(texts[0])[1:], "--json").out)[0]
+    assert row["index"] == number
+    if base := row["hypotheses"][0].get("base"):
+        assert robot.startswith(f"Robot: x {base['x']:.2f} m, y {base['y']:.2f} m")
+    assert bool(robot) is bool(base) is ("--sensor" in words)
     values: dict[str, Any] = {}
     exec(texts[1], values)
     best = values["answer"].best
@@ -771,18 +774,9 @@ def test_what_is_copied_gives_what_the_page_shows(
         assert (x, y, np.rad2deg(theta)) == pytest.approx(shown, abs=0.051)
 
 
-def counted(page: Any, count: int) -> None:
-    """Wait until so many readings are distances to something."""
-    kinds = [f"#count-{kind}" for kind in ("agrees", "orientation", "visibility", "unexplained")]
-    script = """([kinds, count]) => count === kinds.map(
-        (one) => Number(document.querySelector(one).textContent)).reduce((a, b) => a + b)"""
-    page.wait_for_function(script, arg=[kinds, count])
-
-
 def test_how_scans_were_taken_is_said_on_the_page_and_hinted_at(page: Any, log: Path) -> None:
-    hung = [LaserScan(1000 * s.ranges, -s.angles) for s in load_scans(log).scans]
-    path = log.with_name("hung.npz")
-    save_scans(path, ScanSet(tuple(hung)), force=True)
+    path = log.with_name("turned mm.npz")
+    made(log, path)
     drop(page, (path.name, path.read_bytes()))
     answered(page)
     hint = page.locator("#hints")
@@ -795,10 +789,6 @@ def test_how_scans_were_taken_is_said_on_the_page_and_hinted_at(page: Any, log: 
     sync.expect(hint).to_be_empty()
     assert shown_pose(page)[:2] == pytest.approx(POSES[0, :2], abs=0.1)
     assert "--flipped --range-scale=0.001" in copied(page, "c")
-    values: dict[str, Any] = {}
-    text = copied(page, "y").replace("visibility.yaml", str(MAPS / "visibility.yaml"))
-    assert "scan = scan.scaled(0.001)\nscan = scan.flipped" in text
-    assert values == {}
 
 
 def test_a_region_is_drawn_by_keys_alone(page: Any, log: Path) -> None:

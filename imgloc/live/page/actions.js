@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { compose, holds } from "./geometry.js";
 import { priorOf, RADIUS, TURN } from "./known.js";
 import { prepared } from "./scan.js";
-import { change, state, USUAL } from "./state.js";
+import { change, numberOf, state, USUAL } from "./state.js";
 
 /** Layers that are a likelihood of a scan, with a slider through their headings. */
 export const METHODS = ["cbml", "cbml-o", "ght", "ght-v", "beam"];
@@ -279,7 +279,7 @@ export function mark() {
   const { pose, index } = state, marks = [...state.marks], old = marks[index];
   if (!pose) return;
   marks[index] = old && old.x === pose.x && old.y === pose.y && old.theta === pose.theta ? null : { ...pose };
-  change({ marks, unsaved: marks.some(Boolean), note: marks[index] ? `Scan ${index} is marked.` : `Scan ${index} is not marked any more.` });
+  change({ marks, unsaved: marks.some(Boolean), note: `Scan ${numberOf()} is ${marks[index] ? "marked" : "not marked any more"}.` });
 }
 
 /** The marked scans with their true poses, as a file. */

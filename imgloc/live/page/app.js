@@ -13,7 +13,7 @@ import { Cells, heat } from "./map.js";
 import { paint, paintStrip } from "./paint.js";
 import { showTip, startPanel } from "./panel.js";
 import { listen } from "./pointer.js";
-import { change, state, watch } from "./state.js";
+import { change, numberOf, state, watch } from "./state.js";
 import { takeTool } from "./tools.js";
 import { View } from "./view.js";
 
@@ -98,7 +98,9 @@ function showLog() {
   range.max = set.scans - 1;
   range.value = index;
   say($("file"), set.name);
-  say($("number"), `scan ${index} of 0 to ${set.scans - 1}`);
+  const words = `Scan ${numberOf()}`, last = set.scans - 1;
+  say($("number"), last ? `${words}. The first is ${numberOf(0)}, the last ${numberOf(last)}.` : `${words}, the only one.`);
+  range.setAttribute("aria-valuetext", words);
   const button = $("follow");
   button.disabled = !set.odom;
   button.title = set.odom ? "Follow the robot through the log (T)" : "The file has no odometry, which the tracker needs";

@@ -3,6 +3,7 @@
 import { METHODS, surveyOf, takenOf } from "./actions.js";
 import { degrees } from "./geometry.js";
 import { isKnown } from "./known.js";
+import { numberOf } from "./state.js";
 
 /** A word of a POSIX shell, in quotes where it needs them. */
 export function quoted(word) {
@@ -30,9 +31,6 @@ const takenOptions = ({ taken, set }) => [
   ...Object.entries(takenOf(taken)).map(([key, value]) => (value === true ? `--${key}` : `--${key.replace("_", "-")}=${value}`)),
 ];
 
-/** The number of the scan in its file. */
-const numberOf = ({ set, index }) => set?.indices?.[index] ?? index;
-
 /** The options of what is known. */
 function knownOptions({ near, region, clearance }) {
   const out = [];
@@ -44,7 +42,7 @@ function knownOptions({ near, region, clearance }) {
 
 /** Commands that show what the page shows. */
 export function command(state) {
-  const { map, set, scan, method, known, layer } = state, files = filesOf(state), index = numberOf(state);
+  const { map, set, scan, method, known, layer } = state, files = filesOf(state), index = numberOf();
   const taken = takenOptions(state), reading = typedOf(map.options);
   const line = (...words) => words.filter((word) => word !== "").join(" ");
   const lines = [];
@@ -73,7 +71,7 @@ export function command(state) {
 
 /** Python that answers what the page shows. */
 export function script(state) {
-  const { map, set, method, known, pose, chosen, layer } = state, files = filesOf(state), index = numberOf(state);
+  const { map, set, method, known, pose, chosen, layer } = state, files = filesOf(state), index = numberOf();
   const lines = ["import imgloc", ""];
   if (known.clearance > 0 && set) lines.splice(1, 0, "from imgloc.search.priors import prior_of");
   if (known.region && set) lines.splice(1, 0, "import numpy as np", "from skimage.draw import polygon2mask");

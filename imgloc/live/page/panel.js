@@ -2,10 +2,10 @@
 
 import { chooseHypothesis, LOOKING, METHODS } from "./actions.js";
 import { $, make, say } from "./dom.js";
-import { degrees, fixed, percent, poseWords } from "./geometry.js";
+import { degrees, fixed, percent, poseWords, robotOf } from "./geometry.js";
 import { isKnown, knownWords } from "./known.js";
 import { KINDS, reason } from "./scan.js";
-import { change, state, watch } from "./state.js";
+import { change, numberOf, state, watch } from "./state.js";
 
 const GLYPHS = { unique: "✓", ambiguous: "?", "no-match": "✕", invalid: "–", lost: "✕" };
 const LISTED = 20; // hypotheses
@@ -52,19 +52,19 @@ function showVerdict() {
   if (answer) {
     say($("word"), answer.verdict);
     say($("why"), sentence(answer));
-    const pose = answer.pose ? ` ${poseWords(answer.pose)}.` : "";
+    const pose = answer.pose ? ` The sensor is at ${poseWords(answer.pose)}.` : "";
     // Once for each answer: the share of the readings comes later.
-    say($("live"), `Scan ${index}: ${answer.verdict}. ${sentence({ ...answer, counted: null })}${pose}`);
+    say($("live"), `Scan ${numberOf()}: ${answer.verdict}. ${sentence({ ...answer, counted: null })}${pose}`);
   } else if (belief) {
     say($("word"), belief.verdict);
     say($("why"), beliefWords(belief));
     // Whoever listens hears of changes, and of the end, not of each scan.
-    if (told !== belief.verdict || !state.following) say($("live"), `Scan ${index}: the tracker says ${belief.verdict}. ${beliefWords(belief)}`);
+    if (told !== belief.verdict || !state.following) say($("live"), `Scan ${numberOf()}: the tracker says ${belief.verdict}. ${beliefWords(belief)}`);
     told = belief.verdict;
   } else {
     const word = state.refused && busy !== LOOKING ? "No answer" : "Looking …";
     say($("word"), map ? (set ? word : "No scan yet") : "No map yet");
-    if (map && set && word === "No answer") say($("live"), `Scan ${index}: no answer.`);
+    if (map && set && word === "No answer") say($("live"), `Scan ${numberOf()}: no answer.`);
     say($("why"), map && !set ? "Drop a file of scans on the map." : "");
   }
   if (!state.following) told = "";
@@ -111,7 +111,9 @@ function showPose() {
   $("pose").hidden = !pose || !scan;
   if (!pose || !scan) return;
   say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : chosen === -1 ? "Pose set by hand" : "Pose by the tracker");
-  say($("pose-where"), poseWords(pose));
+  const { mount } = scan.given;
+  say($("pose-where"), `Sensor: ${poseWords(pose)}`);
+  say($("pose-robot"), mount ? `Robot: ${poseWords(robotOf(pose, mount))}` : "");
   say($("pose-score"), fit && fit.per_reading !== null ? `Fit ${fixed(fit.per_reading, 2)} of ${fixed(fit.best, 2)} (log-likelihood per reading).` : "");
   say($("pose-against"), fit ? comparison() : "");
   say($("pose-stands"), fit && !fit.stands ? "No sensor can be here: it is in a wall, or off the map." : "");

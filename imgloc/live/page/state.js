@@ -39,6 +39,9 @@ export const state = {
   cursor: null, // {x, y} of the map frame, where the keyboard points
 };
 
+/** The number in its file of a scan that is here: of that which is looked at, unless another is named. */
+export const numberOf = (index = state.index) => state.set?.indices?.[index] ?? index;
+
 const listeners = [];
 
 /** Call `listener` after each change of one of the `keys`. */
