@@ -31,7 +31,7 @@ from imgloc.answers.causes import Given
 from imgloc.answers.diagnose import doubts, is_doubtful
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
-from imgloc.errors import ConfigError, as_options
+from imgloc.errors import ConfigError
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import map_hash
@@ -555,7 +555,7 @@ class Service:
         return _rows([await row(k) for k in chosen])
 
     async def _doubts(self, ask: Ask) -> Response:
-        """What keeps a scan from fitting, as the command says it."""
+        """What keeps a scan from fitting, as the command says it; its options in backquotes."""
         site, values = self._site(ask.values["map"])[1], ask.values
         chosen, (scans, _), prior = await self._asked(ask, site)
 
@@ -568,7 +568,7 @@ class Service:
                 return []
             given = Given(values["flipped"], values["range_scale"])
             hints = doubts(site.features, ScanSet((scan,)), said, options, given)
-            return [as_options(hint.said) for hint in hints]
+            return [hint.said for hint in hints]
 
         return JSONResponse({"hints": await ask.run(text)})
 

@@ -4,7 +4,8 @@ import * as api from "./api.js";
 import { compose, holds } from "./geometry.js";
 import { priorOf, RADIUS, TURN } from "./known.js";
 import { prepared } from "./scan.js";
-import { change, numberOf, state, USUAL } from "./state.js";
+import { change, HAND, NOWHERE, numberOf, state, TRACKER, USUAL } from "./state.js";
+import { inWords } from "./words.js";
 
 /** Layers that are a likelihood of a scan, with a slider through their headings. */
 export const METHODS = ["cbml", "cbml-o", "ght", "ght-v", "beam"];
@@ -77,10 +78,10 @@ export function take(patch) {
 export function chooseMap(map) {
   granted = NOTHING;
   change({
-    map, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
+    map, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], fit: null, pose: null, chosen: HAND, reading: -1, seen: null,
     picture: null, marks: [], unsaved: false, known: { near: null, region: null, clearance: state.known.clearance },
   });
-  if (map.warnings?.length) trouble("the map", map.warnings.map((text) => `${map.name}: ${text}`).join(" "));
+  if (map.warnings?.length) trouble("the map", map.warnings.map((text) => `${map.name}: ${inWords(text, true)}`).join(" "));
   showLayer();
   if (state.set) selectScan(state.index);
 }
@@ -130,12 +131,23 @@ export async function ownMaps() {
   return found.filter(Boolean);
 }
 
-/** Give the service a file of scans, and look at the first. */
+/** Give the service a file of scans, and look at the first; of a log with several lasers, one must be named. */
 export async function addScans(file, said = {}) {
-  const set = await attempt(`Reading ${file.name}`, () => api.uploadScans(file, said));
-  if (set) openSet({ ...set, name: file.name }, { file, said });
-  if (set?.warnings.length) trouble("the scans", set.warnings.join(" "));
-  return Boolean(set);
+  const lasers = state.lasers?.file === file ? state.lasers.names : [];
+  const set = await attempt(`Reading ${file.name}`, async () => {
+    try {
+      return await api.uploadScans(file, said);
+    } catch (error) {
+      const named = [...(error.detail ?? "").matchAll(/(\S+) \(\d+\)/g)].map(([, name]) => name);
+      if (error.detail?.includes("`topic`")) change({ lasers: { file, names: named, topic: "" } });
+      throw error;
+    }
+  });
+  if (!set) return;
+  const { topic } = said;
+  change({ lasers: topic ? { file, names: lasers, topic } : null });
+  openSet({ ...set, name: file.name, options: topic ? [[`--topic=${topic}`, `topic=${JSON.stringify(topic)}`]] : [] }, { file, said });
+  if (set.warnings.length) trouble("the scans", set.warnings.map((text) => inWords(text, true)).join(" "));
 }
 
 /** Look at the first of some scans that the service holds; how they were taken is theirs alone. */
@@ -143,7 +155,7 @@ export function openSet(set, from = null) {
   items = new Map();
   files = from;
   const said = Object.entries(set.taken).filter(([, value]) => value !== null).map(([key, value]) => [key, value === true || String(value)]);
-  change({ set, taken: { ...USUAL, ...Object.fromEntries(said) }, scan: null, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
+  change({ set, taken: { ...USUAL, ...Object.fromEntries(said) }, scan: null, pose: null, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: HAND });
   selectScan(0);
 }
 
@@ -180,7 +192,7 @@ const BAD = [400, 422]; // it will refuse the same again
 function withdraw(known, status) {
   const { index, chosen } = state, verdicts = [...state.verdicts];
   verdicts[index] = null;
-  const drawn = chosen >= 0 ? { pose: null, fit: null, chosen: -1 } : {}; // of the answer
+  const drawn = chosen >= 0 ? { pose: null, fit: null, chosen: HAND } : {}; // of the answer
   change({ answer: null, verdicts, reading: -1, refused: true, ...drawn });
   if (BAD.includes(status) && known === state.known) change({ known: granted });
 }
@@ -210,15 +222,15 @@ export const locate = api.newest(async () => {
   change({ answer, verdicts, reading: -1, refused: false, hints: [] });
   if (answer.verdict !== "unique") doubt();
   if (answer.hypotheses.length) chooseHypothesis(0);
-  else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }));
-  else askScore();
+  else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }), NOWHERE);
+  else place(state.pose, state.chosen >= 0 ? NOWHERE : state.chosen);
 });
 
-/** Ask what keeps the scan from fitting, in the words of the command. */
+/** Ask what keeps the scan from fitting. */
 const doubt = api.newest(async () => {
   const { map, scan, known } = state;
   const hints = await attempt("", () => aboutScans((id) => api.doubts({ ...asked(id), ...priorOf(state.known) })));
-  if (hints && scan === state.scan && map === state.map && known === state.known) change({ hints });
+  if (hints && scan === state.scan && map === state.map && known === state.known) change({ hints: hints.map((text) => inWords(text)) });
 });
 
 /** Draw the scan at a hypothesis. */
@@ -228,7 +240,7 @@ export function chooseHypothesis(k) {
 }
 
 /** Draw the scan at a pose, of the hypothesis `chosen` or set by hand, and ask what it says there. */
-export function place(pose, chosen = -1) {
+export function place(pose, chosen = HAND) {
   change({ pose, chosen });
   askScore();
 }
@@ -257,7 +269,7 @@ export async function settle() {
   const fit = await attempt("Settling", () => aboutScans((id) => api.settle({ ...asked(id), ...fitAt(pose) })));
   if (!fit || scan !== state.scan || pose !== state.pose) return;
   settled += 1;
-  change({ pose: fit.pose, chosen: -1, fit: { ...fit, of: scan } });
+  change({ pose: fit.pose, chosen: HAND, fit: { ...fit, of: scan } });
 }
 
 /** Say what is known, and ask again. */
@@ -411,7 +423,7 @@ export async function follow() {
 function showBelief(index, scan, belief) {
   const beliefs = [...state.beliefs], pose = poseOf(belief, scan) ?? state.pose;
   beliefs[index] = belief;
-  change({ index, scan, beliefs, pose, answer: null, hints: [], chosen: -2, reading: -1 });
+  change({ index, scan, beliefs, pose, answer: null, hints: [], chosen: TRACKER, reading: -1 });
   askScore();
 }
 

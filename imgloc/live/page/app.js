@@ -196,7 +196,19 @@ function showTaken() {
   for (const [id, key] of TAKEN) $(id).value = state.taken[key];
 }
 
+function showReading() {
+  const { lasers, set } = state;
+  $("laser").hidden = !lasers;
+  $("topic").value = lasers?.topic ?? "";
+  $("lasers").replaceChildren(...(lasers?.names ?? []).map((value) => make("option", { value })));
+  if (lasers && !lasers.topic) $("topic").focus();
+  const words = lasers ? "" : (set?.options ?? []).map(([typed]) => typed).join(" ");
+  say($("opened-with"), words && `Opened with ${words}`);
+}
+
 function listenToTaken() {
+  on("topic", "change", ({ target }) => actions.addScans(state.lasers.file, { topic: target.value.trim() }));
+
   on("flipped", "change", ({ target }) => actions.take({ flipped: target.checked }));
   for (const [id, key] of TAKEN) {
     on(id, "change", ({ target }) => {
@@ -242,6 +254,7 @@ async function start() {
   watch(["layer", "slice"], () => actions.showLayer());
   watch(["layer"], () => { $("layer").value = state.layer; });
   watch(["taken"], showTaken);
+  watch(["lasers", "set"], showReading);
   watch(["map", "set", "index", "scan", "taken", "known", "method", "layer", "seen", "beliefs", "pose", "chosen"], closeCopied);
   watch(["scan"], () => { if (actions.METHODS.includes(state.layer)) actions.showLayer(); });
   watch(["set", "index", "following"], showLog);

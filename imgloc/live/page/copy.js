@@ -3,7 +3,7 @@
 import { METHODS, surveyOf, takenOf } from "./actions.js";
 import { degrees } from "./geometry.js";
 import { isKnown } from "./known.js";
-import { numberOf } from "./state.js";
+import { HAND, numberOf } from "./state.js";
 
 /** A word of a POSIX shell, in quotes where it needs them. */
 export function quoted(word) {
@@ -94,7 +94,7 @@ export function script(state) {
   }
   lines.push(`answer = imgloc.localize(features, scan, imgloc.Options(${options.join(", ")}))`, "print(answer.verdict, answer.pose)");
   if (METHODS.includes(layer)) lines.push(`stack = imgloc.likelihood(features, scan, ${python(layer)})  # (theta, y, x)`);
-  if (pose && chosen === -1) lines.push(...poseLines(pose));
+  if (pose && chosen === HAND) lines.push(...poseLines(pose));
   return `${lines.join("\n")}\n`;
 }
 

@@ -5,18 +5,19 @@ import { $, make, say } from "./dom.js";
 import { degrees, fixed, percent, poseWords, robotOf } from "./geometry.js";
 import { isKnown, knownWords } from "./known.js";
 import { KINDS, reason } from "./scan.js";
-import { change, numberOf, state, watch } from "./state.js";
+import { change, HAND, NOWHERE, numberOf, state, TRACKER, watch } from "./state.js";
 
 const GLYPHS = { unique: "✓", ambiguous: "?", "no-match": "✕", invalid: "–", lost: "✕" };
 const LISTED = 20; // hypotheses
 const SHOWN = 6000; // milliseconds that a note stays
+const TITLES = { [HAND]: "Pose set by hand", [TRACKER]: "Pose by the tracker", [NOWHERE]: "No pose was found: drag the scan to one" };
 let fading = 0;
 
 /** One or two sentences about an answer. */
 function sentence({ verdict, hypotheses, elsewhere, counted, counts }) {
   const [best, second] = hypotheses;
   if (verdict === "invalid") return `Only ${counts.valid} readings are distances to something.`;
-  if (!best) return "No allowed pose fits this scan.";
+  if (!best) return isKnown(state.known) ? "No allowed pose fits this scan." : "No pose on this map fits this scan.";
   const mass = percent(best.mass), distances = ["agrees", "orientation", "visibility", "unexplained"];
   const of = counted && distances.reduce((sum, kind) => sum + (counted[kind] ?? 0), 0);
   const held = of ? `; ${percent((counted.agrees ?? 0) / of)} of the readings end on a wall there` : "";
@@ -110,7 +111,7 @@ function showPose() {
   const { pose, fit, scan, chosen, marks, index } = state;
   $("pose").hidden = !pose || !scan;
   if (!pose || !scan) return;
-  say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : chosen === -1 ? "Pose set by hand" : "Pose by the tracker");
+  say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : TITLES[chosen]);
   const { mount } = scan.given;
   say($("pose-where"), `Sensor: ${poseWords(pose)}`);
   say($("pose-robot"), mount ? `Robot: ${poseWords(robotOf(pose, mount))}` : "");
