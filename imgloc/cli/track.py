@@ -226,7 +226,7 @@ def track(
         hint = doubt_of_log(features, scans, options, stated, share, asked.start)
     else:
         hint = bent_walls(chosen.options.shared, options.shared, grid.resolution, stated)
-    if said := hint.text if hint else _aged(grid, scans, moments, chosen.options.shared):
+    if said := hint.said if hint else _aged(grid, scans, moments, chosen.options.shared):
         LOG.warning("%s", said)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)

@@ -89,7 +89,7 @@ class Evaluate(Checked):
             and poses_fit(features.grid, scans.scans, poses) is False
         ):
             return [f"{run.taken.name}: {NOT_TRUE}"]
-        return [doubt.text for doubt in found]
+        return [doubt.said for doubt in found]
 
     def _simulated(self, item: Item, desk: Desk, grid: OccupancyGrid) -> tuple[ScanSet, Source]:
         path, sensor = item.path, self.sensor

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.answers.diagnose import Given, doubts
+from imgloc.answers.causes import Given
+from imgloc.answers.diagnose import doubts
 from imgloc.errors import ImglocError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.messages import (
@@ -210,4 +211,4 @@ def _on_the_map(
         found = doubts(features, ScanSet(tuple(scans)), said, options, given)
         counts = ", ".join(f"{sum(v == w for v, _ in said)} {w}" for w in
                            dict.fromkeys(v for v, _ in said))  # fmt: skip
-        yield Row(f"scans on {name}", counts, "; ".join(doubt.text for doubt in found))
+        yield Row(f"scans on {name}", counts, "; ".join(doubt.said for doubt in found))

@@ -27,7 +27,8 @@ from starlette.routing import Route, Router, WebSocketRoute
 from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketState
 
-from imgloc.answers.diagnose import Given, doubts, is_doubtful
+from imgloc.answers.causes import Given
+from imgloc.answers.diagnose import doubts, is_doubtful
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
 from imgloc.errors import ConfigError, as_options
@@ -562,7 +563,7 @@ class Service:
                 return []
             given = Given(values["flipped"], values["range_scale"])
             hints = doubts(site.features, ScanSet((scan,)), said, options, given)
-            return [as_options(hint.text) for hint in hints]
+            return [as_options(hint.said) for hint in hints]
 
         return JSONResponse({"hints": await ask.run(text)})
 
