@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import ANGLES, features_of
+from places import ANGLES, POSES, features_of
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
@@ -119,6 +119,22 @@ def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
         assert one.best.x == pytest.approx(sensor.x, abs=0.03)
         assert one.best.y == pytest.approx(sensor.y, abs=0.03)
         assert one.best.theta == pytest.approx(sensor.theta, abs=0.05)
+
+
+@pytest.mark.parametrize(("view", "told"), [(180.0, True), (358.0, False)])
+def test_a_turn_confirms_a_place_as_far_as_it_shows_what_was_out_of_view(view, told) -> None:
+    x, y, _ = POSES["curved"]
+    poses = np.array([[x, y, turn] for turn in np.linspace(0, np.pi, 10)])
+    angles = np.deg2rad(np.arange(-view / 2, view / 2 + 0.1, 2.0))
+    ranges = simulate_ranges(
+        render(WORLDS["curved"](), 0.05), poses, angles, seed=2, range_max=30.0
+    )
+    scans = [LaserScan(r, angles, range_max=30.0, stamp=float(k)) for k, r in enumerate(ranges)]
+    turning = ScanSet(tuple(scans), poses, np.arange(10.0), poses)
+    tracker = make_filter("tracker", features_of("curved"), Options())
+    moments = list(follow(features_of("curved"), turning, tracker))
+    assert any(m.belief.verdict == "unique" for m in moments) == told
+    assert max(errors(moments[-5:], turning)) < 0.2
 
 
 def test_a_place_that_the_search_has_not_listed_does_not_die() -> None:

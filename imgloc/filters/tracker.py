@@ -39,11 +39,13 @@ from imgloc.options import (
     Count,
     Factor,
     Length,
+    LogOdds,
     Metres,
     Nats,
     Options,
     Radians,
     Share,
+    Shared,
     Step,
 )
 from imgloc.ranges import Checked
@@ -137,6 +139,9 @@ class TrackerOptions(Checked):
     #: score on bent walls: they stop no reading, and all readings count alike, because scans of
     #: many places are weighed together
     bending: Bending = field(default_factory=lambda: Bending(*number("TrackerOptions.bending")))
+    #: temperature, strain and elsewhere of :class:`~imgloc.options.Trust` on bent walls, where
+    #: readings count, not things
+    readings: tuple[Factor, Factor, LogOdds, LogOdds, LogOdds] = number("TrackerOptions.readings")
     #: metres over which the share of the way is averaged along which scans agree with one place,
     #: and the least share with which a component is ``unique``. On the map of another building a
     #: place fits for some metres now and then.
@@ -216,7 +221,7 @@ class Tracker:
         self.how = how or TrackerOptions()
         options = options or Options()
         fused = replace(options.fused, bending=self.how.bending)
-        self.options = replace(options, top=1000, fused=fused)  # covariances of all
+        self.options = self._with(options.shared, replace(options, top=1000, fused=fused))
         self._given = self.options.shared.scale
         self.features = features.thinner(self.options.shared.thinner)
         self._find = find
@@ -230,6 +235,8 @@ class Tracker:
         self._gone = Way()
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._blinded = 0.0  # metres of that way until the last blind scan
+        # Radians out of the last scan's view, and radians turned at about the same place.
+        self._hidden, self._turned = 0.0, 0.0
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._lasers = Lasers(self.options.shared.usual)
         self._scales = list[tuple[float, float]]()
@@ -240,6 +247,16 @@ class Tracker:
         self._uncounted = 0.0  # metres that are in neither yet
         # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
         self._begun: tuple[FloatArray, FloatArray] | None = None
+
+    def _with(self, shared: Shared, options: Options) -> Options:
+        """The options with an error that all readings share, and the trust that goes with it."""
+        if not shared.bent:
+            return replace(options, shared=shared)
+        base, strain = self.how.readings[:2]
+        trust = replace(
+            options.trust, temperature=base, strain=strain, elsewhere=self.how.readings[2:]
+        )
+        return replace(options, shared=shared, trust=trust)
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
@@ -272,9 +289,15 @@ class Tracker:
             self._begun = move_gaussians(*self._begun, increment, noise, own)
         if self._searching is not None:
             self._searching.move(increment)
-        metres = float(gone[0])
+        metres, radians = gone.tolist()
         self._unsearched, self._uncounted = self._unsearched + metres, self._uncounted + metres
-        self._way, self._since = self._way + metres * known, self._since + metres
+        # A turn counts as way as far as it shows what was out of view at this place.
+        lever = self.how.fresh[0] / self.how.fresh[1]
+        self._turned = max(0.0, self._turned - metres / lever)
+        shown = min(radians, max(0.0, self._hidden - self._turned))
+        self._turned += radians
+        self._way += (metres + lever * shown) * known
+        self._since += metres
         if self._unique is not None:
             pose, ago = self._unique
             self._trusted += metres if ago == 0 else 0.0
@@ -392,6 +415,7 @@ class Tracker:
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
         laser, view = self._lasers.of(scan), view_of(scan, self.options)
+        self._hidden = 2 * np.pi - float(np.ptp(view.readings.angles))
         new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
@@ -508,7 +532,7 @@ class Tracker:
         if judged == shared:
             return False
         self.features = self._drawn.thinner(judged.thinner)
-        self.options = replace(options, shared=judged)
+        self.options = self._with(judged, options)
         self._find, self._walls = None, []  # what replaces the search knows the old walls
         self._begin_again()
         return True
