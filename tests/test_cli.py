@@ -146,7 +146,8 @@ def test_messages_name_only_options_that_exist() -> None:
 
 
 def test_the_library_speaks_of_arguments_and_the_command_line_of_options() -> None:
-    commands = {"cli", "commands", "command.py", "options.py", "settings.py"}  # these name options, too
+    # These name options, too.
+    commands = {"cli", "commands", "command.py", "options.py", "settings.py"}
     for path in (ROOT / "imgloc").rglob("*.py"):
         if commands & set(path.relative_to(ROOT).parts):
             continue
