@@ -75,7 +75,7 @@ def test_a_command_is_listed_by_its_first_sentence(name: str) -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic",
+    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic", "matplotlib",
              "imgloc.pipeline", "imgloc.plans", "imgloc.lab.evaluation")  # fmt: skip
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
