@@ -1,11 +1,14 @@
 """One declaration: command line, HTTP, ROS and Python have the same names, limits and texts."""
 
+import json
 import math
+import re
 from dataclasses import is_dataclass
 from typing import Any
 
 import pytest
 import typer.main
+from command import ROOT
 
 from imgloc import options
 from imgloc.cli.app import program
@@ -78,3 +81,16 @@ def test_python_has_the_default_and_the_limits_of_the_text(kind: Any, one: Decla
     if isinstance(one.limit, Within) and one.limit.high <= 1e5:
         factor = 180 / math.pi if one.in_degrees else 1.0
         assert one.limit.limits(factor) in help_of(one)
+
+
+def test_the_guide_has_each_parameter_of_the_node_with_its_default() -> None:
+    page = (ROOT / "tools" / "docs" / "node.md").read_text("utf-8").partition("## Parameters")[2]
+    rows = dict[str, str]()
+    for names, values in re.findall(r"^\| (`.*?) \| (.*?) \|", page, re.MULTILINE):
+        some = values.replace("`", "").split(", ") if "`, `" in names else [values.strip("`")]
+        keys = re.findall(r"`(\w+)`", names)
+        rows |= dict(zip(keys, some * (len(keys) if len(some) == 1 else 1), strict=True))
+    for one in declared(settings.Settings):
+        listed = json.dumps(one.default) if one.default != math.inf else "inf"
+        listed = listed.strip('"') or "empty"
+        assert rows[one.name] == listed, one.name
