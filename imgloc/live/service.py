@@ -55,7 +55,7 @@ from imgloc.live.robots import Robots
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
 from imgloc.model import FloatArray, LaserScan, Likelihood, plain, to_json
-from imgloc.options import FUSED, Chosen, Known, Prior
+from imgloc.options import FUSED, Chosen, Known, Prior, Shared
 from imgloc.output.rows import answer_row, scan_row
 from imgloc.pipeline import localize, prepare
 from imgloc.search.asked import answer_bytes
@@ -373,6 +373,7 @@ class Service:
                 "width": width, "height": height, "resolution": grid.resolution,
                 "origin": grid.origin, "free_m2": float(grid.free.sum()) * grid.resolution**2,
                 "version": map_hash(grid), "path": self.given.paths.get(name),
+                "calibrated": bool(site.calibrations) or site.shared != Shared(),
                 "warnings": [text for text, seen in ((SWAPPED, looks_swapped(grid)),
                                                      (DRAWN, looks_drawn(grid))) if seen],
             }  # fmt: skip

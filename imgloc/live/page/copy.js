@@ -79,6 +79,11 @@ export function script(state) {
   if (!set) return `${lines.join("\n")}\n`;
   lines.push(...scanLines(state, files.scans, index));
   const options = method === "fused" ? [] : [`method=${python(method)}`];
+  if (map.calibrated) {
+    lines.splice(1, 0, "from imgloc.io.calibration import calibration_path, load_calibrations");
+    lines.push(`calibrations, shared = load_calibrations(calibration_path(${python(files.map)}), grid)`);
+    options.push(`calibration=calibrations.get(${python(method)})`, "shared=shared");
+  }
   if (isKnown(known)) {
     const said = [];
     if (known.near) {
