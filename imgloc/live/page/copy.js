@@ -56,7 +56,8 @@ export function command(state) {
     lines.push(line(...show, "--what visibility", `--at=${state.seen.at.map(number).join(",")}`, "--out visibility.png"));
   }
   if (METHODS.includes(layer) && set) {
-    lines.push(line(...show, "--what likelihood", "--scans", quoted(files.scans), "--scans-index", index, ...taken, "--method", layer, "--out", `${layer}.png`));
+    const drawn = line(...show, "--what likelihood", "--scans", quoted(files.scans), "--scans-index", index, "--method", layer, "--out", `${layer}.png`);
+    lines.push(taken.length ? `# imgloc map show takes the scan only as the file has it; “Copy as Python” has ${layer} of this scan.` : drawn);
   }
   if (layer === "atlas" && scan) {
     const { step, headings } = surveyOf(map, scan), wide = Math.max(...scan.angles) - Math.min(...scan.angles);

@@ -6,7 +6,7 @@ const CONTROLS = {
 };
 const READING = { topic: CONTROLS.topic }; // while a file is read: the others act later
 const METRES = ["range_max", "range_scale"];
-const OPENS = ["fov", "height", "max_bad", "negate", "odom", "range_max", "sensor"]; // that imgloc open takes
+const OPENS = ["allow_lossy", "fov", "height", "max_bad", "negate", "odom", "range_max", "sensor"]; // that imgloc open takes
 const OPTIONS = { fov: "fov-deg", index: "scans-index", theta_step: "theta-step-deg" }; // that are called otherwise
 const ARGUMENT = /`([a-z_]+)(?:=([^`\s]+))?`/g;
 const ADVICE = /\b(try|leave out|pass) (`[^`]+`(?: `[^`]+`)*)/gi;
