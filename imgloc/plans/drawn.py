@@ -184,7 +184,7 @@ def _turned(doors: list[Door], walls: list[FloatArray]) -> list[Door]:
 def _dense(points: FloatArray, step: float) -> FloatArray:
     """Points along a line, no farther apart than `step`, up to a bound."""
     long = np.hypot(*np.diff(points, axis=0).T)
-    n = np.minimum(np.ceil(long / step).astype(int), 2000) + 1
+    n = np.minimum(np.ceil(long / step), 2000).astype(int) + 1
     return np.concatenate(
         [
             a + np.linspace(0, 1, k)[:, None] * (b - a)
@@ -284,7 +284,7 @@ class Sheet:
         """Pixels of lines, as wide as they are drawn."""
         out = np.zeros(self.shape, np.uint8)
         for s in strokes:
-            wide = max(1, round(s.wide * self.unit / self.pixel))
+            wide = max(1, round(min(s.wide * self.unit, _PILLARS) / self.pixel))
             cv2.polylines(out, [self.fixed(s.points)], False, 1, wide, cv2.LINE_8, _BITS)
         return out > 0
 
@@ -391,7 +391,8 @@ class Floor:
     shut: BoolArray  #: pixels of closed doors
     leaves: Sequence[Door]
     inside: BoolArray  #: cells
-    gap: float
+    gap: float  #: metres
+    guessed: bool  #: no names tell which lines are walls
 
     @property
     def area(self) -> int:
@@ -455,7 +456,7 @@ def _floors_of(
             own = _touching(walls, _finer(inside, parts))
             doors = (_coarser(shut & ~walls, parts) > 0) & _grown(inside, 1)
             hung = [d for d in leaves if sheet.on(d.closed, labels == k, cell)]
-            floors.append(Floor(sheet, own, shut, hung, inside | doors, closed))
+            floors.append(Floor(sheet, own, shut, hung, inside | doors, closed, not named))
     return floors
 
 
@@ -539,4 +540,5 @@ def _finished(
         other_area=0.0,
         rooms=int(np.count_nonzero(rooms > _ROOM)),
         scale=(sheet.unit, said),
+        guessed=floor.guessed,
     )

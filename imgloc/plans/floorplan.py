@@ -144,6 +144,7 @@ class FloorPlan:
     other_area: float
     rooms: int | None = None  #: with closed doors, if the drawing tells which are doors
     scale: tuple[float, str] = (0.0, "")  #: metres a unit of the drawing, and how that was found
+    guessed: bool = False  #: no name of a layer told which lines of the drawing are walls
 
     @property
     def free_area(self) -> float:
@@ -225,6 +226,11 @@ class FloorPlan:
                 f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
                 f"gaps less than {_NARROW:g} m wide, or into spaces less than {_HOLLOW:g} m wide "
                 "without a door, as the two lines of a wall do, its hatching, or furniture"
+            )
+        elif self.guessed:
+            what = (
+                "no name of a layer tells what is a wall, so furniture may be part of walls; "
+                "`walls` names the layers"
             )
         else:
             return ""

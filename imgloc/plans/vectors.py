@@ -21,6 +21,7 @@ from imgloc.model import FloatArray
 MAX_BYTES = 100_000_000  #: of a file
 MOST = 400_000  #: strokes, and entities in the file; a large floor has some 20,000
 _DEEP = 24  # blocks within blocks
+_FAR = 1e10  # units from the zero point: nothing that is built is farther away
 _FINE = 0.003  # of its size, that a line may stay away from its curve
 #: metres of the units of a DXF, by the number in its header
 UNITS = {1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 14: 0.1}
@@ -75,6 +76,11 @@ def read_drawing(path: Path) -> Drawing:
         why = f"; it only refers to other files, {others}: bind them" if others else ""
         raise MapError(f"{name}: there is no line on it, expected the drawing of a floor{why}")
     return drawing
+
+
+def _drawn(points: FloatArray) -> bool:
+    """Whether points are a line that can be drawn: an infinite one cannot."""
+    return len(points) > 1 and bool((abs(points) < _FAR).all() and np.ptp(points, axis=0).any())
 
 
 def _dxf(data: bytes) -> Drawing:
@@ -146,7 +152,7 @@ def _unfolded(document: Any) -> Iterator[Stroke]:
         else:
             where = " / ".join((layer, *blocks))
             for points, filled, wide in _traced(entity, kind):
-                if len(points) > 1 and np.isfinite(points).all() and np.ptp(points, axis=0).any():
+                if _drawn(points):
                     yield Stroke(points, where, filled, line in dashes, wide)
 
 
@@ -297,7 +303,7 @@ def _ways(d: str, matrix: Any) -> Iterator[FloatArray]:
     for part in (*(Path(d) * matrix), None):
         if part is None or isinstance(part, Move):
             out = np.array([(p.x, p.y) for p in points])
-            if len(points) > 1 and np.isfinite(out).all() and np.ptp(out, axis=0).any():
+            if _drawn(out):
                 yield out
             points = [] if part is None else [part.end]
         elif isinstance(part, Line | Close):

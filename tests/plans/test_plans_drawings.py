@@ -13,6 +13,9 @@ from imgloc.errors import MapError
 from imgloc.io.maps import load_map
 from imgloc.plans.drawn import drawing_to_maps, role_of
 from imgloc.plans.vectors import MOST, Drawing, Stroke, read_drawing
+from tools.plans.drawing import building
+from tools.plans.drawings import write_dxf
+from tools.plans.measure import shares_found
 
 REAL = Path(__file__).resolve().parents[3] / "shared/data/dxf"
 # Two rooms of 5 x 4 m, walls of 0.2 m, a door of 0.9 m between them and one of 1.0 m outwards.
@@ -149,6 +152,7 @@ def test_the_unit_is_that_of_the_header_if_doors_agree(
 def test_an_svg_and_a_pdf_have_the_scale_that_is_written_on_them(tmp_path: Path, write) -> None:
     path = write(tmp_path / f"a.{write.__name__}")
     (found,) = drawing_to_maps(read_drawing(path))
+    assert ("no name of a layer" in found.doubt) == (write is pdf)
     assert found.scale[1] == "1:100 as the file states, and 2 doors fit"
     assert found.size == (pytest.approx(10.6, rel=0.01), pytest.approx(4.4, rel=0.01))
     assert (found.rooms, len(found.doors)) == (2, 2)
@@ -190,6 +194,8 @@ def test_layers_without_names_and_layers_that_are_said(tmp_path: Path) -> None:
     path = dxf(tmp_path / "a.dxf", names=names)
     (guessed,) = drawing_to_maps(read_drawing(path))
     (said,) = drawing_to_maps(read_drawing(path), walls=["17"])
+    assert "no name of a layer tells" in guessed.doubt
+    assert said.doubt == ""
     for found in (guessed, said):
         assert found.size[0] == pytest.approx(10.6, abs=0.1)
         assert len(found.doors) == 2
@@ -264,6 +270,16 @@ def test_a_drawing_that_encloses_nothing_is_refused() -> None:
     line = Stroke(np.array([(0.0, 0.0), (9.0, 0.0)]), "wall")
     with pytest.raises(MapError, match="its lines enclose no room"):
         drawing_to_maps(Drawing([line], ((1.0, "m"),)))
+
+
+def test_a_building_becomes_the_map_of_its_walls(tmp_path: Path) -> None:
+    truth = building(3)
+    write_dxf(truth, tmp_path / "a.dxf")
+    (found,) = drawing_to_maps(read_drawing(tmp_path / "a.dxf"))
+    assert found.size == pytest.approx(truth.size, abs=0.03)
+    assert len(found.doors) == 16
+    free, walls = shares_found(found.grid, truth)
+    assert min(free, walls) > 0.99
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no drawings in {REAL}")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from ezdxf.filemanagement import new
 
 from imgloc import OccupancyGrid
 from imgloc.errors import ImglocError
@@ -15,6 +16,7 @@ from imgloc.model import Float32Array, IntArray
 from imgloc.plans.drawn import drawing_to_maps
 from imgloc.plans.vectors import read_drawing
 from imgloc.simulation.scans import simulate
+from tools.plans.drawing import Building, leaves, solid
 from tools.plans.measure import AROUND, Row, judge
 
 DRAWINGS_HEAD = (
@@ -95,6 +97,32 @@ def twin(grid: OccupancyGrid, shut: OccupancyGrid, full: OccupancyGrid, seed: in
     room = stats[:, cv2.CC_STAT_AREA] * cell**2 > _ROOM
     room[0] = False
     return OccupancyGrid(fine > 0, room[labels], cell, grid.origin)
+
+
+def write_dxf(b: Building, path: Path) -> None:
+    """Write a building as an architect draws it, in millimetres: layers, arcs of doors, leaves."""
+    document = new(units=4)  # mm
+    model, cell = document.modelspace(), 0.01
+    shapes, _ = cv2.findContours(
+        solid(b, cell).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE
+    )
+    lines = [("walls", (shape[:, 0] + 0.5) * cell) for shape in shapes]
+    lines += [("windows", b.placed(b.opened(o))) for o in b.openings if o.kind == "window"]
+    lines += [("furniture", b.placed(corners)) for kind, corners in b.symbols if kind == "box"]
+    for o in b.openings:
+        for hinge, leaf, sign in leaves(b, o):
+            at, free = b.placed(hinge), b.placed(hinge + leaf @ rotation(sign * np.pi / 2).T)
+            lines.append(("doors", np.array([at, free])))
+            turns = np.rad2deg(
+                [np.arctan2(*(p - at)[::-1]) for p in (b.placed(hinge + leaf), free)]
+            )
+            first, last = turns if sign > 0 else turns[::-1]
+            radius = float(np.hypot(*leaf)) * 1000
+            model.add_arc(at * 1000, radius, first, last, dxfattribs={"layer": "doors"})
+    for layer, points in lines:
+        closed = layer != "doors"
+        model.add_lwpolyline(points * 1000, close=closed, dxfattribs={"layer": layer})
+    document.saveas(path)
 
 
 def _field(rng: np.random.Generator, sides: IntArray, cell: float) -> Float32Array:
