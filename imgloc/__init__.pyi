@@ -1,151 +1,89 @@
 """The public names of imgloc, and where each is defined: they are loaded when first used."""
 
+__all__: list[str]
 from .__about__ import __version__ as __version__
-from .answers.explain import Explanation, explain
-from .answers.sample import sample_poses
-from .choice.choose import Choice, which
-from .errors import ConfigError, ImglocError, MapError, OutputError, ScanError
-from .features.mapfeatures import MapFeatures
-from .filters.belief import Belief, Filter
-from .filters.choose import make_filter
-from .filters.follow import Moment, Tracking, follow
-from .filters.scanodometry import ScanOdometry
-from .io.mapcheck import MapReport, check_map
-from .io.maps import load_map, save_map
-from .io.messages import grid_from_msg, grid_to_msg, scan_from_msg, scan_to_msg
-from .io.scans import load_scans, save_scans
-from .io.scanset import ScanSet
-from .lab.align import Alignment, ScanAlignment, align_maps, align_scans
-from .lab.changes import Changes, map_changes, sure_poses
-from .lab.evaluation import Evaluation, evaluate
-from .likelihoods.stacks import Stack, likelihood
-from .live.line import Dropped
-from .live.localizer import Answer, Localizer
-from .live.sites import Site
-from .model import (
-    Evidence,
-    Floor,
-    GridInfo,
-    Hypothesis,
-    LaserScan,
-    Likelihood,
-    Localization,
-    OccupancyGrid,
-    OrientedPoints,
-    Pose2D,
-    Protection,
-)
-from .options import (
-    ALL_METHODS,
-    METHODS,
-    Calibration,
-    Every,
-    FusedOptions,
-    Known,
-    Limits,
-    Options,
-    Prior,
-    Sensor,
-    Shared,
-    Trust,
-)
-from .output.pictures import Picture, draw
-from .pipeline import localize, localize_many, prepare
-from .plans.files import load_plan
-from .plans.floorplan import FloorPlan, plan_to_map
-from .robot.frames import Frames
-from .robot.odometry import Odometry
-from .robot.recording import Recording
-from .runs.batch import BatchSummary, run_batch
-from .runs.jobs import Job, make_job
-from .runs.priors import near, region
-from .simulation.scans import simulate
-
-__all__ = [
-    "ALL_METHODS",
-    "METHODS",
-    "Alignment",
-    "Answer",
-    "BatchSummary",
-    "Belief",
-    "Calibration",
-    "Changes",
-    "Choice",
-    "ConfigError",
-    "Dropped",
-    "Evaluation",
-    "Every",
-    "Evidence",
-    "Explanation",
-    "Filter",
-    "Floor",
-    "FloorPlan",
-    "Frames",
-    "FusedOptions",
-    "GridInfo",
-    "Hypothesis",
-    "ImglocError",
-    "Job",
-    "Known",
-    "LaserScan",
-    "Likelihood",
-    "Limits",
-    "Localization",
-    "Localizer",
-    "MapError",
-    "MapFeatures",
-    "MapReport",
-    "Moment",
-    "OccupancyGrid",
-    "Odometry",
-    "Options",
-    "OrientedPoints",
-    "OutputError",
-    "Picture",
-    "Pose2D",
-    "Prior",
-    "Protection",
-    "Recording",
-    "ScanAlignment",
-    "ScanError",
-    "ScanOdometry",
-    "ScanSet",
-    "Sensor",
-    "Shared",
-    "Site",
-    "Stack",
-    "Tracking",
-    "Trust",
-    "__version__",
-    "align_maps",
-    "align_scans",
-    "check_map",
-    "draw",
-    "evaluate",
-    "explain",
-    "follow",
-    "grid_from_msg",
-    "grid_to_msg",
-    "likelihood",
-    "load_map",
-    "load_plan",
-    "load_scans",
-    "localize",
-    "localize_many",
-    "make_filter",
-    "make_job",
-    "map_changes",
-    "near",
-    "plan_to_map",
-    "prepare",
-    "region",
-    "run_batch",
-    "sample_poses",
-    "save_map",
-    "save_scans",
-    "scan_from_msg",
-    "scan_to_msg",
-    "simulate",
-    "sure_poses",
-    "which",
-]  # fmt: skip
+from .answers.explain import Explanation as Explanation
+from .answers.explain import explain as explain
+from .answers.sample import sample_poses as sample_poses
+from .choice.choose import Choice as Choice
+from .choice.choose import which as which
+from .errors import ConfigError as ConfigError
+from .errors import ImglocError as ImglocError
+from .errors import MapError as MapError
+from .errors import OutputError as OutputError
+from .errors import ScanError as ScanError
+from .features.mapfeatures import MapFeatures as MapFeatures
+from .filters.belief import Belief as Belief
+from .filters.belief import Filter as Filter
+from .filters.choose import make_filter as make_filter
+from .filters.follow import Moment as Moment
+from .filters.follow import Tracking as Tracking
+from .filters.follow import follow as follow
+from .filters.scanodometry import ScanOdometry as ScanOdometry
+from .io.mapcheck import MapReport as MapReport
+from .io.mapcheck import check_map as check_map
+from .io.maps import load_map as load_map
+from .io.maps import save_map as save_map
+from .io.messages import grid_from_msg as grid_from_msg
+from .io.messages import grid_to_msg as grid_to_msg
+from .io.messages import scan_from_msg as scan_from_msg
+from .io.messages import scan_to_msg as scan_to_msg
+from .io.scans import load_scans as load_scans
+from .io.scans import save_scans as save_scans
+from .io.scanset import ScanSet as ScanSet
+from .lab.align import Alignment as Alignment
+from .lab.align import ScanAlignment as ScanAlignment
+from .lab.align import align_maps as align_maps
+from .lab.align import align_scans as align_scans
+from .lab.changes import Changes as Changes
+from .lab.changes import map_changes as map_changes
+from .lab.changes import sure_poses as sure_poses
+from .lab.evaluation import Evaluation as Evaluation
+from .lab.evaluation import evaluate as evaluate
+from .likelihoods.stacks import Stack as Stack
+from .likelihoods.stacks import likelihood as likelihood
+from .live.line import Dropped as Dropped
+from .live.localizer import Answer as Answer
+from .live.localizer import Localizer as Localizer
+from .live.sites import Site as Site
+from .model import Evidence as Evidence
+from .model import Floor as Floor
+from .model import GridInfo as GridInfo
+from .model import Hypothesis as Hypothesis
+from .model import LaserScan as LaserScan
+from .model import Likelihood as Likelihood
+from .model import Localization as Localization
+from .model import OccupancyGrid as OccupancyGrid
+from .model import OrientedPoints as OrientedPoints
+from .model import Pose2D as Pose2D
+from .model import Protection as Protection
+from .options import ALL_METHODS as ALL_METHODS
+from .options import METHODS as METHODS
+from .options import Calibration as Calibration
+from .options import Every as Every
+from .options import FusedOptions as FusedOptions
+from .options import Known as Known
+from .options import Limits as Limits
+from .options import Options as Options
+from .options import Prior as Prior
+from .options import Sensor as Sensor
+from .options import Shared as Shared
+from .options import Trust as Trust
+from .output.pictures import Picture as Picture
+from .output.pictures import draw as draw
+from .pipeline import localize as localize
+from .pipeline import localize_many as localize_many
+from .pipeline import prepare as prepare
+from .plans.files import load_plan as load_plan
+from .plans.floorplan import FloorPlan as FloorPlan
+from .plans.floorplan import plan_to_map as plan_to_map
+from .robot.frames import Frames as Frames
+from .robot.odometry import Odometry as Odometry
+from .robot.recording import Recording as Recording
+from .runs.batch import BatchSummary as BatchSummary
+from .runs.batch import run_batch as run_batch
+from .runs.jobs import Job as Job
+from .runs.jobs import make_job as make_job
+from .runs.priors import near as near
+from .runs.priors import region as region
+from .simulation.scans import simulate as simulate

@@ -545,6 +545,16 @@ class Floor:
     share: float  #: of the valid readings that end on the floor, 0..1
 
 
+@dataclass(frozen=True)
+class Thing:
+    """A piece of a scan that differs from the map, if the scan was taken at the best pose."""
+
+    bearing: float  #: radians, sensor frame, of its middle
+    distance: float  #: metres, mean of its readings
+    share: float  #: of the readings that were scored, 0..1
+    through: bool  #: whether most of its readings pass through a mapped wall; else it is unmapped
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence(ByContent):
     """The evidence for the masses and the verdict of an answer."""
@@ -563,6 +573,7 @@ class Evidence(ByContent):
     against: float = 0.0
     mapped: int = 0  #: pieces of the scan that are rather what the map has there
     through: int = 0  #: pieces of the scan that pass through a mapped wall
+    things: tuple[Thing, ...] = ()  #: pieces that differ from the map, the largest first
     #: factor on the readings with which they fit far better; 1 if none was needed
     scale: float = 1.0
     #: metres taken off each side of the walls, because the readings fit far better so; else 0
@@ -693,6 +704,7 @@ class Localization(ByContent):
             "hypotheses": rows,
             "elsewhere": self.elsewhere,
             "protection": [vars(level) for level in self.protection],
+            "things": [vars(thing) for thing in e.things],
             "evidence": evidence,
             "complete": self.complete,
             "entropy": self.entropy,

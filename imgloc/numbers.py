@@ -6,8 +6,8 @@ unit, a bound of memory that no answer depends on, or says why it is there.
 
 >>> number("Trust.mass"), number("FusedOptions.keep")
 (0.9, (1500, 4000, 4000, 16000))
->>> origin("tracker.mapped").by
-'python -m tools.trust fit -n 16 --seed 6 --hold-temperature'
+>>> origin("tracker.most").by
+'chosen, checked by python -m tools.sequences --metres 12 --cases tracker --starts 50 --kidnaps 20'
 """
 
 import hashlib

@@ -5,7 +5,6 @@
 """
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -15,8 +14,8 @@ from imgloc.equality import ByContent
 from imgloc.errors import ConfigError
 from imgloc.numbers import number
 from imgloc.pose import Pose2D, check_mount
-from imgloc.ranges import Checked, Doc, OneOf, Option, Within, option
-from imgloc.texts import byte_count, metres_degrees, numbers, pose
+from imgloc.ranges import Checked, Doc, Matches, OneOf, Option, Some, Within, option
+from imgloc.texts import FAR, byte_count, metres_degrees, pose
 
 if TYPE_CHECKING:
     from imgloc.model import BoolArray, FloatArray, LaserScan, Temperature
@@ -39,7 +38,8 @@ SCALES = (
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Count = Annotated[int, Within(1, 1e12, "")]
-Yaw = Annotated[float, Within(-1e6, 1e6, "radians")]
+Place = Annotated[float, Within(-FAR, FAR, "metres")]  #: x or y
+Angle = Annotated[float, Within(-6.2832, 6.2832, "radians")]  #: once around either way
 Radius = Annotated[float, Within(0.01, 1e6, "metres")]
 Turn = Annotated[float, Within(0.001, 3.2, "radians")]
 HeadingStep = Annotated[float, Within(math.radians(0.05), math.pi, "radians")]
@@ -657,6 +657,12 @@ class Reading(TypedDict, total=False):
     max_pixels: int
 
 
+_ONE = r" *(\d{1,18}|\d{0,18}:\d{0,18}(:0{0,18}[1-9]\d{0,17})?) *"
+INDICES = (
+    "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between, such as 3,7,10:20"
+)
+
+
 @dataclass(frozen=True)
 class Chosen(Checked):
     """Which scans of a file are looked at: by default all.
@@ -667,7 +673,7 @@ class Chosen(Checked):
     ([3, 7, 10, 14, 18], [18, 20])
     """
 
-    index: str | None = option(
+    index: Annotated[str, Matches(f"{_ONE}(,{_ONE})*", 1 << 20, INDICES)] | None = option(
         None,
         "Take only these scans of a file, counted from 0: 3 or 3,7,10:20 (without 20) or ::10 "
         "(every tenth). May be repeated. [default: all]",
@@ -683,15 +689,6 @@ class Chosen(Checked):
     seed: Annotated[int, Within(0, 1e18, "")] = option(
         1, "Seed that draws the random scans of a file.", "--sample-seed"
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for word in () if self.index is None else self.index.split(","):
-            if not re.fullmatch(r"\s*(\d+|\d*:\d*(:0*[1-9]\d*)?)\s*", word, re.ASCII):
-                raise ConfigError(
-                    f"`index`: got {self.index!r}, expected indices from 0, ranges A:B "
-                    "(without B) or A:B:STEP, and commas between, such as 3,7,10:20"
-                )
 
     def of(self, count: int, name: str, most: int | None = None) -> list[int]:
         """Indices of the scans, of `count` in the file called `name`; ConfigError if there is none.
@@ -729,19 +726,19 @@ class Chosen(Checked):
 class Known(Checked):
     """What is known of the poses of all scans, map frame; None where nothing is."""
 
-    near: tuple[Yaw, Yaw, Yaw, Radius, Turn] | None = option(
-        None,
-        "Consider only poses within R metres of x, y in the map frame that face YAW up to T, "
-        f"radians (or 90deg). [default: anywhere; R = {RADIUS:g}, T = {TOLERANCE:g}]",
-        metavar="X,Y,YAW[,R[,T]]",
-        parse=numbers(3, (RADIUS, TOLERANCE), angles=(2, 4)),
+    near: Annotated[tuple[Place, Place, Angle, Radius, Turn] | None, Some(RADIUS, TOLERANCE)] = (
+        option(
+            None,
+            "Consider only poses within R metres of x, y in the map frame that face YAW up to T, "
+            f"radians (or 90deg). [default: anywhere; R = {RADIUS:g}, T = {TOLERANCE:g}]",
+            metavar="X,Y,YAW[,R[,T]]",
+        )
     )
-    heading: tuple[Yaw, Turn] | None = option(
+    heading: Annotated[tuple[Angle, Turn] | None, Some(TOLERANCE)] = option(
         None,
         "Consider only poses that face YAW up to T in the map frame, radians (or 90deg), as a "
         f"compass gives it. [default: any; T = {TOLERANCE:g}]",
         metavar="YAW[,T]",
-        parse=numbers(1, (TOLERANCE,), angles=(0, 1)),
     )
     clearance: Annotated[float, Within(0, 1000, "metres")] | None = option(
         None,
@@ -790,7 +787,6 @@ class Logs(Checked):
         "Make a scan of each point cloud from its points between the heights MIN and MAX, metres "
         "in the sensor's frame.",
         metavar="MIN,MAX",
-        parse=numbers(2),
     )
     odom: str | None = option(
         None,

@@ -240,7 +240,7 @@ def find_modes_by_steps(
     # Refine the best with more readings, in free space; score them, and separate the modes.
     poses = refine(looked, many.xy, features.field, sigmas=_SECOND_LOOK)
     poses = standing(poses, prior, features)
-    scores = score_poses(features, many, poses, options)
+    scores = score_poses(features, many, poses, options.model)
     poses, scores, spread = separate(features, poses, scores, len(many), options)
     return Modes(poses, scores, many, complete=not late, looked=looked, spread=spread)
 

@@ -18,15 +18,19 @@ imgloc.errors.ConfigError: Walk.metres: got -1, expected metres, 0 to 10
 [('metres', True, 'Length of the walk.'), ('kind', False, 'Direction of the walk.')]
 """
 
+import contextlib
 import math
+import re
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from imgloc.errors import ConfigError
+from imgloc.texts import number, numbers
 
 #: What stands for a value in the help, by its unit; for others their first letter.
 METAVARS = {"": "N", "degrees": "DEG", "a share": "P", "a probability": "P", "a factor": "F",
@@ -76,6 +80,31 @@ class OneOf:
         return isinstance(value, str) and value in self.names
 
 
+class Matches:
+    """A text of at most so many characters that matches a pattern; `words` say what it is."""
+
+    def __init__(self, pattern: str, most: int, words: str) -> None:
+        self.pattern, self.most, self.words = pattern, most, words
+
+    def __str__(self) -> str:
+        return self.words
+
+    def admits(self, value: Any) -> bool:
+        """Whether the value is such a text."""
+        return (
+            isinstance(value, str)
+            and len(value) <= self.most
+            and (re.fullmatch(self.pattern, value, re.ASCII) is not None)
+        )
+
+
+class Some:
+    """Numbers of a tuple, of which the last may be left out: these values are theirs then."""
+
+    def __init__(self, *rest: float) -> None:
+        self.rest = rest
+
+
 class Doc:
     """What a field is: a text that stands on its own, with the unit."""
 
@@ -108,11 +137,14 @@ class Option(Doc):
         text: str,
         *names: str,
         metavar: str = "",
-        parse: Callable[[str], Any] | None = None,
+        parse: Callable[[Any], Any] | None = None,
         joined: bool = False,
     ) -> None:
         super().__init__(text)
         self.names, self.metavar, self.parse, self.joined = names, metavar, parse, joined
+
+
+Limit = Within | OneOf | Matches
 
 
 @dataclass(frozen=True)
@@ -123,9 +155,10 @@ class Declared:
     hint: Any  #: its annotation
     default: Any  #: MISSING if a value is needed
     kind: Any  #: its type, without None and without what the annotation adds
-    limit: "Within | OneOf | None"
+    limit: "Limit | None"
     text: str
     option: Option | None
+    rest: tuple[float, ...] = ()  #: what the last numbers of a tuple are, if they are left out
 
     @property
     def flag(self) -> str:
@@ -166,10 +199,11 @@ def declaration(name: str, hint: Any, default: Any = MISSING) -> Declared:
             kind = several[0] if len(several) == 1 else Any
         else:
             break
-    limit = next((note for note in notes if isinstance(note, Within | OneOf)), None)
+    limit = next((note for note in notes if isinstance(note, Limit)), None)
+    rest = next((note.rest for note in notes if isinstance(note, Some)), ())
     docs = [note for note in notes if isinstance(note, Doc)]
     option = next((note for note in docs if isinstance(note, Option)), None)
-    return Declared(name, hint, default, kind, limit, docs[0].text if docs else "", option)
+    return Declared(name, hint, default, kind, limit, docs[0].text if docs else "", option, rest)
 
 
 @cache
@@ -181,6 +215,56 @@ def declared(kind: Any) -> tuple[Declared, ...]:
     return tuple(declaration(part.name, hints[part.name], part) for part in fields(kind))
 
 
+def parts_of(field: Declared) -> tuple[Declared, ...]:
+    """The numbers of a field that is a tuple."""
+    return tuple(declaration("", part) for part in get_args(field.kind))
+
+
+def value_of(field: Declared, text: str) -> Any:
+    """The value that a text has for a field; a ConfigError, which does not name it, if none.
+
+    >>> turn = declaration("turn", Annotated[float, Within(0, 1, ""), Option("", "--turn-deg")])
+    >>> value_of(turn, "9")
+    0.15707963267948966
+    """
+    option, kind = field.option, field.kind
+    value: Any = text
+    if option is not None and option.parse is not None:
+        value = option.parse(Path(text) if kind is Path else text)
+    elif get_origin(kind) is tuple:
+        parts, rest = parts_of(field), field.rest
+        angles = [k for k, part in enumerate(parts) if getattr(part.limit, "unit", "") == "radians"]
+        value = numbers(len(parts) - len(rest), rest=rest, angles=angles)(text)
+    elif kind in (int, float):
+        with contextlib.suppress(ValueError):
+            value = number(text)
+            value = math.radians(value) if field.in_degrees else _whole(text, value, kind)
+    elif kind is not str and kind is not Any:
+        value = kind(text)
+    check = check_of(field.hint)
+    refused = None if check is None else check(value)
+    if refused is None:
+        return value
+    at, expected = refused
+    if isinstance(field.limit, Within) and field.in_degrees:
+        expected = expected_of(kind, field.limit, 180 / math.pi, "degrees")
+    got = repr(text) if isinstance(value, str) else _at(field, at, value) if at else text
+    raise ConfigError(f"got {got}, expected {expected}")
+
+
+def _whole(text: str, value: float, kind: Any) -> float | int:
+    """A number as a whole one where that is wanted and it is one, however long."""
+    if kind is int and value.is_integer():
+        return int(text) if re.fullmatch(r"\s*[-+]?\d+\s*", text) else int(value)
+    return value
+
+
+def _at(field: Declared, at: str, value: Any) -> str:
+    """One of several numbers of a value, by what stands for it in the help."""
+    k, letters = int(at.strip("[]")), re.findall(r"[A-Z]\w*", field.metavar or "")
+    return f"{letters[k] if k < len(letters) else at} {value[k]:g}"
+
+
 def help_of(field: Declared) -> str:
     """The text of a field as the help and the docs show it: with its limits and its default."""
     text, limit, some = field.text, field.limit, list[str]()
@@ -189,7 +273,7 @@ def help_of(field: Declared) -> str:
     if "[default:" in text:
         text, _, default = text.removesuffix("]").partition(" [default: ")
         some.append(f"default: {default}")
-    elif field.default not in (None, MISSING, []) and field.kind is not bool:
+    elif field.default not in (None, MISSING, "", [], ()) and field.kind is not bool:
         some.append(f"default: {_shown(field)}")
     return text + (f"  [{'; '.join(some)}]" if some else "")
 
@@ -247,14 +331,15 @@ def check_of(hint: Any) -> Check | None:
     """What checks a value by an annotation; None for one that limits nothing."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        limits = [note for note in parts[1:] if isinstance(note, Within | OneOf)]
+        limits = [note for note in parts[1:] if isinstance(note, Limit)]
         return _limited(parts[0], limits[0]) if limits else check_of(parts[0])
     if origin in (Union, types.UnionType):
         inner = [check_of(part) for part in parts if part is not types.NoneType]
         one = inner[0] if len(inner) == 1 else None  # several kinds: their user tells them apart
         return None if one is None else lambda value: None if value is None else one(value)
     if origin is tuple or origin is Sequence:
-        return _each(parts, exact=origin is tuple and ... not in parts)
+        several = origin is Sequence or ... in parts
+        return _each(parts, exact=not several, least=origin is Sequence)
     if hint not in _PLAIN and not is_dataclass(hint):
         return None
     kind, said = _PLAIN.get(hint, (hint, getattr(hint, "__name__", "")))
@@ -266,7 +351,7 @@ def check_of(hint: Any) -> Check | None:
     return check
 
 
-def _limited(kind: Any, limit: Within | OneOf) -> Check:
+def _limited(kind: Any, limit: Limit) -> Check:
     """What checks a number or text that has a limit."""
     optional = types.NoneType in get_args(kind)
     kinds = [part for part in (get_args(kind) or (kind,)) if part is not types.NoneType]
@@ -281,22 +366,22 @@ def _limited(kind: Any, limit: Within | OneOf) -> Check:
     return check
 
 
-def expected_of(kind: Any, limit: Within | OneOf, factor: float = 1.0, unit: str = "") -> str:
+def expected_of(kind: Any, limit: Limit, factor: float = 1.0, unit: str = "") -> str:
     """What a value has to be, in words; in another `unit` if its `factor` is given."""
     words = limit.words(factor, unit) if unit and isinstance(limit, Within) else str(limit)
     return f"a whole number, {words}" if kind is int else words
 
 
-def _each(parts: Any, *, exact: bool) -> Check:
-    """What checks the parts of a tuple, or of a sequence of any length but none."""
+def _each(parts: Any, *, exact: bool, least: int) -> Check:
+    """What checks the parts of a tuple, or of a sequence of any length."""
     checks = [check_of(part) for part in parts if part is not ...]
 
     def check(value: Any) -> Refused:
         several = isinstance(value, tuple | list) or hasattr(value, "tolist")
         if exact and not (several and len(value) == len(checks)):
             return "", f"{len(checks)} values"
-        if not several or len(value) == 0:
-            return "", "at least one value"
+        if not several or len(value) < least:
+            return "", "at least one value" if least else "several values"
         for k, one in enumerate(value):
             here = checks[k if exact else 0]
             if here is not None and (refused := here(one)) is not None:

@@ -6,15 +6,13 @@ Each function makes a value of a text, or raises a ConfigError that says what it
 import math
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.model import Pose2D
+from imgloc.pose import Pose2D
 
 _BINARY = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}  # powers of two
 _TURN = math.tau + 1e-6  # radians
+FAR = 1e6  #: metres: no place has greater coordinates
 
 
 def byte_count(text: str) -> int:
@@ -22,8 +20,8 @@ def byte_count(text: str) -> int:
 
     Examples
     --------
-    >>> byte_count("512M"), byte_count("1.5 GiB")
-    (536870912, 1610612736)
+    >>> byte_count("512M"), byte_count("1.5 GiB"), byte_count("2k"), byte_count("1024")
+    (536870912, 1610612736, 2048, 1024)
     """
     found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
     if found is None:
@@ -41,10 +39,10 @@ def angle(text: str) -> float:
     """
     text = text.strip()
     if text.endswith("deg"):
-        if abs(degrees := float(text[:-3])) > 360:
+        if abs(degrees := number(text[:-3])) > 360:
             raise ConfigError(f"got {text}, expected -360deg to 360deg")
         return math.radians(degrees)
-    if abs(value := float(text)) > _TURN:
+    if abs(value := number(text)) > _TURN:
         raise ConfigError(
             f"got an angle of {value:g}, expected radians, -6.2832 to 6.2832; are these degrees? "
             f"write {value:g}deg, or multiply them by pi / 180"
@@ -52,29 +50,41 @@ def angle(text: str) -> float:
     return value
 
 
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?inf|nan", re.ASCII | re.IGNORECASE)
+
+
+def number(text: str) -> float:
+    """The number of a text; a ValueError for what Python alone takes for one, such as ``1_0``."""
+    if not _NUMBER.fullmatch(text.strip()):
+        raise ValueError(text)
+    return float(text)
+
+
 WITH_COMMAS = "numbers with commas between"
 
 
 def numbers(
-    least: int, rest: Sequence[float] = (), *, angles: Sequence[int] = ()
+    least: int, most: int | None = None, *, rest: Sequence[float] = (), angles: Sequence[int] = ()
 ) -> Callable[[str], tuple[float, ...]]:
-    """Return what reads `least` finite numbers with commas between them, or more.
+    """Return what reads `least` finite numbers with commas between them, or up to `most`.
 
-    `rest` holds the values of those that may be left out; those at `angles` are read by
+    `rest` holds the values of further ones that may be left out; those at `angles` are read by
     :func:`angle`.
 
     Examples
     --------
-    >>> numbers(3, (2.0,), angles=(2,))("1, 2, 0.5")
+    >>> numbers(3, rest=(2.0,), angles=(2,))("1, 2, 0.5")
     (1.0, 2.0, 0.5, 2.0)
+    >>> numbers(3, rest=(8.0, 9.0))("1,2,3,4")
+    (1.0, 2.0, 3.0, 4.0, 9.0)
     """
-    most = least + len(rest)
+    most = most or least + len(rest)
     count = f"{least}" if least == most else f"{least} to {most}"
 
     def read(text: str) -> tuple[float, ...]:
         words = text.split(",")
         try:
-            values = [angle(w) if k in angles else float(w) for k, w in enumerate(words)]
+            values = [angle(w) if k in angles else number(w) for k, w in enumerate(words)]
         except ValueError:
             values = []
         if not least <= len(values) <= most or not all(map(math.isfinite, values)):
@@ -84,11 +94,12 @@ def numbers(
     return read
 
 
-def pose(text: str) -> "Pose2D":
+def pose(text: str) -> Pose2D:
     """The pose of x, y and yaw: metres, metres, and an angle."""
-    from imgloc.model import Pose2D
-
-    return Pose2D(*numbers(3, angles=(2,))(text))
+    x, y, theta = numbers(3, angles=(2,))(text)
+    if max(abs(x), abs(y)) > FAR:
+        raise ConfigError(f"got {text!r}, expected x and y of at most {FAR:g} m")
+    return Pose2D(x, y, theta)
 
 
 def metres_degrees(text: str) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from places import POSES, error, features_of, grid_of, scan_of
 from imgloc.features.distance import FARTHEST, distance_field, distance_image
 from imgloc.features.pyramid import pyramid
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import scan_points, scan_xy
+from imgloc.features.scanpoints import Readings, scan_points, scan_xy
 from imgloc.features.surface import outlines, surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import centre_of, uniform_thetas
@@ -26,7 +26,7 @@ from imgloc.options import FusedOptions
 from imgloc.pipeline import localize
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
-from imgloc.search.rescore import rescore
+from imgloc.search.rescore import score_poses
 
 WORLD = "curved"
 TRUTH = np.array(POSES[WORLD])
@@ -113,10 +113,8 @@ def test_propose_endpoints(benchmark, features, xy):
 
 def test_rescore(benchmark, features, scan):
     poses = TRUTH + np.array([[0.0, 0.0, 0.0], *np.random.default_rng(1).normal(0, 1, (255, 3))])
-    ranges, angles = scan.ranges[scan.valid], scan.angles[scan.valid]
-    evidence = benchmark(
-        lambda: rescore(poses, ranges, angles, features.field, features.walls, OPTIONS.model)
-    )
+    readings = Readings(scan.ranges[scan.valid], scan.angles[scan.valid])
+    evidence = benchmark(lambda: score_poses(features, readings, poses, OPTIONS.model))
     assert evidence.log_likelihood.argmax() == 0
     assert evidence.explained[0] > 0.9
 

@@ -119,14 +119,6 @@ def test_an_image_is_refused_by_its_header(image: str, tmp_path: Path) -> None:
     assert call(*given, "100M").code == 0
 
 
-def test_what_is_no_image_is_still_said_to_be_none(tmp_path: Path) -> None:
-    path = tmp_path / "m.png"
-    path.write_text("no image")
-    run = call("map", "check", path, "--resolution", 0.1, "--memory-budget", "1M")
-    assert run.code == 3
-    assert "not an image that can be read" in run.err
-
-
 def test_a_demo_counts_the_stack_that_it_draws(folder: Path) -> None:
     run = call(*words(DEMO, folder), "--memory-budget", "90M")
     assert (run.code, run.out) == (2, "")
@@ -311,18 +303,6 @@ def test_a_few_scans_out_of_many_hold_them_all(tmp_path: Path) -> None:
     assert one.nbytes < need < one.nbytes + 20_000
     assert held_bytes([scan.flipped for scan in scans.scans]) > 2 * one.nbytes
     assert held_bytes(()) == 0
-
-
-def test_which_leaves_out_an_image_that_is_too_large(sources: Callable[[bytes], Path]) -> None:
-    folder = sources(damaged_png(11_000))
-    for ending in (".yaml", ".png"):
-        (folder / f"curved{ending}").write_bytes((MAPS / f"curved{ending}").read_bytes())
-    given = ("which", folder, folder / "s.npz", "--no-cache", "--threads", 1)
-    run = call(*given, "--memory-budget", "500M")
-    assert run.code == 5
-    assert "left out: " in run.err
-    assert "m.png: an image of 11000 x 11000 pixels needs" in run.err
-    assert len(run.out.splitlines()) == 3
 
 
 def test_a_region_of_another_size_is_not_decoded(sources: Callable[[bytes], Path]) -> None:

@@ -1,4 +1,4 @@
-"""Files of strangers through the real command: the true cause is named, and no false one."""
+"""Files of strangers through the command: the true cause is named, and no false one."""
 
 import json
 import shutil
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, rows, spawn
+from command import MAPS, call, rows
 
 from imgloc.io.images import encode_png, read_image
 
@@ -79,8 +79,10 @@ def test_grey_205_is_warned_of_where_it_is_the_unknown(kind: str, tmp_path: Path
     assert ("grey-205" in [w["code"] for w in row["warnings"]]) == (kind == "unknown")
 
 
-def test_the_cases_give_what_their_kind_should(shared: Path) -> None:
-    cases = shared / "cases"
+def test_the_cases_give_what_their_kind_should(
+    shared: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shared / "cases")
     said = {
         "inspect 04-nodding-laser/nod.bag": "left out 53 of 60 scans",
         "inspect 06-next-command-drops-options/map.png scans.yaml --resolution 0.1 --origin 5,5,0 "
@@ -92,12 +94,12 @@ def test_the_cases_give_what_their_kind_should(shared: Path) -> None:
         "localize visibility 07-range-max-zero/scans.bag --range-max 12 --scans-index 0": "pose",
         "map check 08-nan-origin/map.yaml --origin 0,0,0": "yaw 0.00 deg",
         "map check 10-grey-205-false-alarm/map.yaml": "many-greys",
-        "inspect 14-upside-down-and-turned/both.npz": "Pass --flipped --sensor 0,0,180deg",
+        "inspect 14-upside-down-and-turned/both.npz": "--flipped --sensor 0,0,180deg",
         "inspect 15-echo-text/lost_message.yaml": "lacks 1 message",
     }  # fmt: skip
     for words, text in said.items():
         words = words.replace(" scans.yaml", " 06-next-command-drops-options/scans.yaml")
-        run = spawn(*words.split(), cwd=cases)
+        run = call(*words.split())
         assert run.code == 0, run
         assert text in run.out
         assert "nan %" not in run.out

@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -133,14 +132,6 @@ def test_degrees_are_named_by_their_key(tmp_path: Path) -> None:
     path.write_text('{"ranges": [1, 2], "angle_min": -1, "angle_max": 1, "pose": [0, 0, 90]}\n')
     run = call("localize", "curved", path)
     assert "pose: got a theta of 90, expected radians; are these degrees?" in run.err
-
-
-def test_scaling_keeps_limits_that_were_in_metres(scans: Path) -> None:
-    scan = load_scans(scans)[0]
-    for limit in (scan.range_max, 1000 * scan.range_max):
-        doubled = replace(scan, ranges=1000 * scan.ranges, range_max=limit).scaled(0.001)
-        assert doubled.range_max == pytest.approx(scan.range_max)
-        np.testing.assert_allclose(doubled.ranges, scan.ranges)
 
 
 def test_a_prior_off_the_map_and_a_missing_image_are_named(scans: Path, tmp_path: Path) -> None:
@@ -319,11 +310,11 @@ def test_a_corridor_scanned_upside_down_has_not_aged(
 ) -> None:
     # Both sides of it are alike, so that most scans fit it mirrored, but for the doors.
     place = shared / "data" / "fr079"
-    some = load_scans(place / "scans.npz").scans[:28]
+    some = load_scans(place / "scans.npz").scans[:28:2]
     turned = tuple(scan if given else scan.flipped for scan in some)
     save_scans(tmp_path / "turned.npz", ScanSet(turned))
     run = call("localize", place / "map.yaml", tmp_path / "turned.npz", *given)
-    assert run.out.count(" unique ") > 14
+    assert run.out.count(" unique ") > 7
     assert "aged" not in run.err
     assert hint_of(run).startswith("scans like these fit at one place if mirrored: ")
     assert hint_of(run).endswith("Leave out --flipped" if given else "Try --flipped")

@@ -256,8 +256,7 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("words", [
-    "localize {map} {log} --scans-index 0 --json", "which {maps} {log}",
-    "batch {maps} --job check --out {out}", "map changes {map} {log}",
+    "localize {map} {log} --scans-index 0 --json", "batch {maps} --job check --out {out}",
 ])  # fmt: skip
 def test_the_real_command_says_that_a_frame_is_another_one(
     words: str, log: Path, tmp_path: Path
@@ -273,16 +272,6 @@ def test_the_real_command_says_that_a_frame_is_another_one(
     several = "{maps}" in words  # of a folder the YAML is taken
     assert run.code == 0, run
     assert (said in run.out + run.err) == (not several), run
-
-
-def test_an_image_in_another_frame_is_said_in_python(tmp_path: Path, caplog, monkeypatch) -> None:
-    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
-    path = copy_of_map(tmp_path, origin="[-12.5, -8, 0]")
-    with caplog.at_level(logging.WARNING):
-        load_map(path)
-        assert caplog.text == ""
-        load_map(path.with_suffix(".png"), resolution=0.1)
-    assert "poses are in another frame" in caplog.text
 
 
 def test_unknown_cells_that_count_as_free_are_said(

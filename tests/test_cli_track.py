@@ -1,6 +1,5 @@
 """`imgloc track`."""
 
-import json
 import re
 import shutil
 from collections.abc import Callable
@@ -296,28 +295,6 @@ def test_a_pose_is_as_sure_as_was_asked_for(log: Path) -> None:
     assert "wide" not in call("track", MAP, log, "--max-sd", "2,10").out
 
 
-def test_jsonl_logs_are_read(log: Path, tmp_path: Path) -> None:
-    data = np.load(log)
-    path = tmp_path / "log.jsonl"
-    path.write_text(
-        "\n".join(
-            json.dumps(
-                {
-                    "ranges": [float(r) for r in data["ranges"][k]],
-                    "angles": data["angles"].tolist(),
-                    "range_max": 30.0,
-                    "stamp": float(data["stamps"][k]),
-                    "odom": data["odom"][k].tolist(),
-                }
-            )
-            for k in range(3)
-        )
-    )
-    run = call("track", MAP, path, "--json")
-    assert run.code == 0, run.err
-    assert [row["stamp"] for row in rows(run.out)] == [100.0, 101.0, 102.0]
-
-
 def test_what_was_calibrated_for_the_map_is_used(log: Path, tmp_path: Path) -> None:
     for name in ("visibility.yaml", "visibility.png"):
         shutil.copy(MAPS / name, tmp_path)
@@ -421,12 +398,12 @@ def test_a_true_trajectory_is_read_first_and_never_overwritten(tmp_path: Path, l
 
 def test_a_filter_that_is_never_sure_on_a_map_says_so(shared: Path, tmp_path: Path) -> None:
     log = np.load(shared / "data/wean/scans.npz")
-    some = {k: log[k][:8] for k in ("ranges", "poses", "odom", "stamps")}
+    some = {k: log[k][:2] for k in ("ranges", "poses", "odom", "stamps")}
     bounds = {k: log[k] for k in ("angles", "range_min", "range_max")}
     np.savez(tmp_path / "log.npz", **some, **bounds)
     plan = shared / "data/wean/map.yaml"
     told = "the walls of this map are drawn 0.5 m thick, so no pose of --filter particle is unique"
-    for options, warned in ((), True), (("--bent", "0"), False), (("--bent", "0.1"), False):
+    for options, warned in ((), True), (("--bent", "0.1"), False):
         run = call("track", plan, tmp_path / "log.npz", "--filter", "particle", *options)
         assert run.code == 0, run.err
         assert (told in run.err) == warned

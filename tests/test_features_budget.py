@@ -12,7 +12,6 @@ from imgloc.features.budget import (
     MIB,
     available_bytes,
     check_budget,
-    default_budget,
     features_bytes,
     fused_bytes,
     stack_bytes,
@@ -60,12 +59,6 @@ def test_preparing_takes_no_more_than_estimated() -> None:
     assert need == features_bytes(grid.occupied.shape, points=surface_count(grid), factor=2)
     assert taken <= need
     assert need <= 6 * taken
-
-
-def test_a_surface_has_no_more_points_than_estimated() -> None:
-    grid = office(3)
-    n = len(MapFeatures(grid).surface)
-    assert n <= surface_count(grid) <= 2 * n
 
 
 def test_unknown_cells_have_no_surface() -> None:
@@ -119,10 +112,6 @@ def test_the_budget_of_the_options_is_that_of_the_ray_distances(
     assert len(MapFeatures(features.grid, n_rays=24, memory_budget=1 << 20).ray_distances) == 24
 
 
-def test_within_the_budget_nothing_happens() -> None:
-    check_budget(100, 100, "a thing", "no hint")
-
-
 def test_over_budget_names_sizes_and_what_to_change() -> None:
     with pytest.raises(ConfigError) as e:
         check_budget(2 * MIB + 1, 2 * MIB, "a stack of 36 headings x 9 x 9 cells", "use cells")
@@ -156,7 +145,3 @@ def test_other_systems(tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatc
     assert available_bytes(tmp_path / "meminfo", tmp_path) == 2_048_000
     monkeypatch.delattr("os.sysconf")
     assert available_bytes(tmp_path / "meminfo", tmp_path) == 4096 * MIB
-
-
-def test_half_of_it_is_the_default() -> None:
-    assert 0 < default_budget() < 1 << 50

@@ -37,16 +37,6 @@ def test_the_field_is_that_of_the_loops(sigma, factor):
     assert np.hypot(*ours).max() == pytest.approx(1)
 
 
-def test_a_wall_generates_opposite_fields_on_its_two_sides():
-    occupied = np.zeros((30, 30), bool)
-    occupied[14:16] = True  # Fig. 4: alpha is directed
-    x, y = vmap_of_image(occupied, ~occupied, 0.1, 0.1)
-    assert np.abs(x).max() < 1e-6
-    assert (y[16:19, 3:-3] > 0.05).all()
-    assert (y[11:14, 3:-3] < -0.05).all()
-    np.testing.assert_allclose(y, -y[::-1], atol=1e-6)
-
-
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_a_quarter_turn_of_the_map_turns_the_field(turns):
     occupied = np.zeros((24, 24), bool)

@@ -36,31 +36,6 @@ def naive(occupied, x, y, psi, shrink=0.0):
     return best
 
 
-@pytest.mark.parametrize(
-    ("psi", "expected"),
-    [(0.0, 3.5), (np.pi / 2, 2.5), (np.pi, 0.5), (-np.pi / 2, 0.5), (np.pi / 4, 2.5 * 2**0.5)],
-)
-def test_distances_to_the_borders_of_cells(psi, expected):
-    # From the centre of cell [1, 1]; the post at [3, 3] is behind the corner (3, 3).
-    distance = cast_rays(distance_image(ROOM), (1.5, 1.5), psi, 10.0, 1.0)
-    if psi == np.pi / 4:
-        expected = 1.5 * 2**0.5  # the post's corner
-    assert distance == pytest.approx(expected, abs=0.02)
-
-
-def test_x_runs_along_the_columns_and_row_0_is_the_lowest_y():
-    distance = distance_image(ROOM)
-    up = cast_rays(distance, (3.5, 1.2), np.pi / 2, 10.0, 1.0)
-    assert up == pytest.approx(1.8, abs=0.02)  # the post, row 3, column 3
-    down = cast_rays(distance, (3.5, 1.2), -np.pi / 2, 10.0, 1.0)
-    assert down == pytest.approx(0.2, abs=0.02)
-
-
-def test_metres():
-    fine = cast_rays(distance_image(ROOM), (0.15, 0.15), 0.0, 1.0, 0.1)
-    assert fine == pytest.approx(0.35, abs=0.002)
-
-
 def test_a_start_in_a_wall_reads_zero():
     assert cast_rays(distance_image(ROOM), (0.5, 2.5), 0.3, 10.0, 1.0) == 0.0
 
@@ -90,11 +65,6 @@ def test_each_ray_may_have_its_own_reach():
     reach = np.array([[1.0], [9.0]])  # of two scans
     scans = cast_rays(distance, np.full((2, 3, 2), 1.5), np.zeros((2, 3)), reach, 1.0)
     assert np.isinf(scans).tolist() == [[True] * 3, [False] * 3]
-
-
-def test_a_map_without_walls_reads_infinity():
-    distance = distance_image(np.zeros((4, 4), dtype=bool))
-    assert np.all(cast_rays(distance, (2.0, 2.0), [0.0, 1.0, 2.0], 1e6, 1.0) == INF)
 
 
 def test_origins_and_angles_broadcast_to_scans():

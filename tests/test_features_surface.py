@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from skimage import measure
 
 from imgloc.features import surface
 from imgloc.features.surface import outlines, surface_points
@@ -42,25 +43,6 @@ def test_a_thin_wall_has_two_opposite_surfaces_half_a_cell_from_its_centre():
     np.testing.assert_allclose(middle.alpha[up], np.pi / 2, atol=1e-9)
     np.testing.assert_allclose(middle.alpha[~up], -np.pi / 2, atol=1e-9)
     assert up.sum() == (~up).sum() == 40  # one per cell
-
-
-def test_x_runs_along_the_columns():
-    wall = np.zeros((60, 9), bool)
-    wall[:, 6] = True
-    points = surface_points(wall, ~wall, 0.1)
-    right = np.cos(points.alpha) > 0.99
-    assert np.median(points.xy[right, 0]) == pytest.approx(0.7)
-    assert np.median(points.xy[np.cos(points.alpha) < -0.99, 0]) == pytest.approx(0.6)
-
-
-def test_a_room_is_seen_from_inside_only():
-    occupied = np.ones((30, 40), bool)
-    occupied[5:25, 5:35] = False
-    points = surface_points(occupied, ~occupied, 1.0)
-    to_centre = np.array([20.0, 15.0]) - points.xy
-    inward = np.cos(points.alpha) * to_centre[:, 0] + np.sin(points.alpha) * to_centre[:, 1]
-    assert (inward > 0).all()
-    assert len(points) == pytest.approx(2 * (20 + 30), abs=4)
 
 
 def test_corners_keep_the_two_normals_of_their_walls():
@@ -192,6 +174,21 @@ def blobs(seed, size=48):
     return cv2.GaussianBlur(noise, (0, 0), 2.0) > 0.52
 
 
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=200, deadline=None)
+def test_outlines_are_those_of_marching_squares(seed):
+    rng = np.random.default_rng(seed)
+    occupied = rng.random(rng.integers(1, 15, 2)) < rng.random()
+    found = measure.find_contours(
+        np.pad(occupied, 1).astype(float), 0.5, fully_connected="high", positive_orientation="high"
+    )
+    vertices, size = outlines(occupied)
+    assert size.tolist() == [len(polygon) for polygon in found]
+    np.testing.assert_array_equal(
+        vertices, np.concatenate([np.zeros((0, 2)), *found])[:, ::-1] - 0.5
+    )
+
+
 def test_corners_hold_together():
     _, size = outlines(np.eye(3, dtype=bool))
     assert size.tolist() == [13]  # twelve sides of cells, and back
@@ -228,14 +225,6 @@ def test_bands_of_rows_sample_the_same_surface(monkeypatch, limit, value, bands)
         across = np.abs((off * normal).sum(axis=-1))[np.arange(len(one)), near.argmin(axis=1)]
         assert np.median(across) < 0.02
         assert np.quantile(across, 0.95) < 0.25
-
-
-def test_bands_cover_every_row_once(monkeypatch):
-    monkeypatch.setattr(surface, "_SIDES", 50)
-    occupied = blobs(2, 60)
-    cuts = surface._bands(occupied)
-    assert [row for band in cuts for row in range(*band)] == list(range(60))
-    assert len(cuts) > 3
 
 
 def test_a_surface_takes_little_memory(monkeypatch):

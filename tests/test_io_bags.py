@@ -14,8 +14,6 @@ from imgloc.io.maps import load_map
 from imgloc.io.messages import grid_to_msg
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.model import Pose2D
-from imgloc.simulation.scans import simulate
-from imgloc.simulation.worlds import WORLDS, render
 
 rosbags = pytest.importorskip("rosbags", reason="reads bags: the extra ros")
 
@@ -273,24 +271,6 @@ def test_what_is_no_bag_or_has_no_scans_is_one_error(tmp_path: Path) -> None:
             load_scans(tmp_path / name)
         with pytest.raises(ScanError, match="no such file"):
             load_scans(tmp_path / f"c{name}")
-
-
-def test_a_bag_goes_through_the_command(tmp_path: Path) -> None:
-    known = simulate(render(WORLDS["curved"](), 0.1), 1, 3)
-    m = messages_of(False)
-    scan = m.make(
-        SCAN, m.header(5.0, "laser"), *known[0].angles[[0, -1]].tolist(), math.radians(1), 0.0, 0.0,
-        0.0, 30.0, known[0].ranges.astype(np.float32), np.array([], np.float32),
-    )  # fmt: skip
-    content = [("/tf_static", TF, m.transform("base_link", "laser", 0.3)), ("/scan", SCAN, scan)]
-    path = write(tmp_path / "a", "mcap", content)
-    (row,) = rows(call("localize", "curved", path, "--json", "--no-cache").out)
-    assert known.poses is not None
-    x, y, _ = known.poses[0]
-    assert math.hypot(row["pose"]["x"] - x, row["pose"]["y"] - y) < 0.3
-    base = row["base_pose"]
-    away = math.hypot(base["x"] - row["pose"]["x"], base["y"] - row["pose"]["y"])
-    assert away == pytest.approx(0.3, abs=1e-6)
 
 
 def cloud(m: Messages, stamp: float, points):

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, rows
 
 from imgloc.errors import ScanError
 from imgloc.io.carmen import read_carmen
@@ -157,24 +156,6 @@ def test_logs_of_other_programs_are_the_scans_that_others_read_of_them(
         assert known.odom is not None
         np.testing.assert_allclose(scans.odom[1::2], known.odom, atol=1e-5)
         assert scans[0].range_max == known[0].range_max
-
-
-def test_localize_reads_a_log(tmp_path: Path) -> None:
-    scans = call("simulate", MAPS / "curved.yaml", "-n", 1, "--out", tmp_path / "a.npz")
-    assert scans.code == 0
-    scan = load_scans(tmp_path / "a.npz")[0]
-    ranges = " ".join(f"{r:.3f}" for r in scan.ranges)
-    path = log(tmp_path, f"FLASER 181 {ranges} 0.1 0 0 0 0 0 1.5 h 1.5")
-    (npz,) = rows(call("localize", "curved", tmp_path / "a.npz", "--json", "--no-cache").out)
-    run = call("localize", "curved", path, "--json", "--no-cache", "--topic", "FLASER")
-    (row,) = rows(run.out)
-    assert row["pose"]["x"] == pytest.approx(npz["pose"]["x"], abs=0.01)
-    base = row["base_pose"]
-    away = math.hypot(base["x"] - row["pose"]["x"], base["y"] - row["pose"]["y"])
-    assert away == pytest.approx(0.1, abs=1e-6)
-    bad = call("localize", "curved", path, "--no-cache", "--topic", "RLASER")
-    assert bad.code == 4
-    assert "no messages RLASER; it has FLASER (1)" in bad.err
 
 
 @pytest.mark.parametrize(

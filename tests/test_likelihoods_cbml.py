@@ -113,24 +113,6 @@ def test_cbml_is_the_same_bits_whatever_computes_it():
         np.testing.assert_array_equal(stack, one)
 
 
-def test_cbml_bounds():
-    # Each reading counts for 1 at most, also where 257 of them fill a 16-bit sum to the brim.
-    bmap = np.ones((3, 3), dtype=np.float32)
-    for n in (1, 256, 257, 258, 600):
-        stack = cbml(bmap, np.zeros((n, 2)), ONE, 0.1, engine="shift")
-        np.testing.assert_allclose(stack, n, rtol=1e-6)
-
-
-def test_cbml_restricted_and_reused():
-    rng = np.random.default_rng(3)
-    bmap, xy = rng.random((8, 9)).astype(np.float32), rng.uniform(-0.5, 0.5, (20, 2))
-    where = rng.random(bmap.shape) < 0.4
-    full = cbml(bmap, xy, np.arange(3.0), 0.1)
-    out = np.full(full.shape, np.nan, dtype=np.float32)
-    assert cbml(bmap, xy, np.arange(3.0), 0.1, where=where, out=out) is out
-    np.testing.assert_array_equal(out, np.where(where, full, 0))
-
-
 @pytest.mark.parametrize("value", [-0.1, 1.1, np.nan, np.inf])
 def test_cbml_refuses_a_bmap_that_is_not_one(value):
     bmap = np.zeros((3, 3), dtype=np.float32)
@@ -181,41 +163,6 @@ def test_cbml_o_is_near_algorithm_3_in_any_direction(engine):
         previous = error
 
 
-@every_engine
-def test_cbml_o_knows_the_two_sides_of_a_wall(engine):
-    # One wall, seen from the left (normal -x) and from the right (normal +x).
-    vmap = np.zeros((2, 1, 5), dtype=np.float32)
-    vmap[0, 0, 2] = -1
-    scan = oriented([[1.0, 0.0]], [np.pi])
-    stack = cbml_o(vmap, scan, np.array([0.0, np.pi]), 1.0, engine=engine)
-    literal = [[[0, 1, 0, 0, 0]], [[0, 0, 0, -1, 0]]]
-    np.testing.assert_allclose(stack, literal, atol=1e-6)
-
-
-@every_engine
-def test_cbml_o_components(engine):
-    # A floor-like wall below (normal +y): compatible with a scan point whose normal is +y.
-    vmap = np.zeros((2, 3, 1), dtype=np.float32)
-    vmap[1, 0, 0] = 0.5
-    scan = oriented([[0.0, -1.0], [0.0, -1.0]], [np.pi / 2, 0.0])
-    stack = cbml_o(vmap, scan, ONE, 1.0, engine=engine)
-    np.testing.assert_allclose(stack, [[[0], [0.5], [0]]], atol=0.005)
-
-
-@every_engine
-def test_points_without_a_normal_do_not_vote_in_cbml_o(engine):
-    vmap, points = random_case(6)
-    usable = points.select(points.valid)
-    assert len(usable) < len(points)
-    thetas = uniform_thetas(1.0)
-    np.testing.assert_array_equal(
-        cbml_o(vmap, points, thetas, 0.1, engine=engine),
-        cbml_o(vmap, usable, thetas, 0.1, engine=engine),
-    )
-    nobody = oriented(points.xy, points.alpha, np.zeros(len(points), dtype=bool))
-    assert not cbml_o(vmap, nobody, thetas, 0.1, engine=engine).any()
-
-
 def test_a_valid_point_with_nan_does_not_vote():
     vmap, points = random_case(7)
     xy = np.concatenate((points.xy, [[np.nan, 0.0], [0.1, 0.1]]))
@@ -224,17 +171,6 @@ def test_a_valid_point_with_nan_does_not_vote():
     np.testing.assert_array_equal(
         cbml_o(vmap, more, ONE, 0.1, engine="shift"), cbml_o(vmap, points, ONE, 0.1, engine="shift")
     )
-
-
-@every_engine
-def test_cbml_o_beyond_16_bits(engine):
-    vmap = np.zeros((2, 4, 4), dtype=np.float32)
-    vmap[0] = 1
-    for n in (257, 258, 259, 700):
-        for alpha, sign in ((0.0, 1), (np.pi, -1)):
-            points = oriented(np.zeros((n, 2)), np.full(n, alpha))
-            stack = cbml_o(vmap, points, ONE, 0.1, engine=engine)
-            np.testing.assert_allclose(stack, sign * n, rtol=1e-5)
 
 
 def test_projections_are_reused():

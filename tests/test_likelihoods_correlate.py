@@ -64,15 +64,6 @@ def test_axes_and_sides(engine):
     np.testing.assert_array_equal(stack, literal)
 
 
-@every_engine
-def test_left_is_positive_y(engine):
-    image = np.array([[0, 0], [7, 0]], dtype=np.uint8)
-    left = np.array([[0.0, 1.0]])
-    np.testing.assert_array_equal(
-        correlate(image, left, ONE, 1.0, engine=engine), [[[7, 0], [0, 0]]]
-    )
-
-
 @pytest.mark.parametrize(
     ("x", "column"), [(0.049, 0), (0.051, 1), (-0.049, 0), (-0.051, -1), (0.149, 1), (-0.151, -2)]
 )

@@ -77,41 +77,6 @@ def test_lattice_of_votes_is_not_that_of_the_map():
         )
 
 
-def literal(**poses):
-    """A stack of 4 headings on a lattice of 3 x 4 with single votes at k, row, column."""
-    stack = np.zeros((4, 3, 4))
-    for index in poses.values():
-        stack[index] += 1
-    return stack
-
-
-@pytest.mark.parametrize(
-    ("alpha_i", "pose"),
-    [
-        # The wall point (1.5, 1.5) faces +x. Its image in the scan is 1 m ahead, with normal:
-        (np.pi, (2, 1, 2)),  # facing the sensor, which looks along -x from the right
-        (-np.pi, (2, 1, 2)),  # the same angle
-        (np.pi / 2, (3, 2, 1)),  # along the sensor's left: it looks along -y from above
-        (-np.pi / 2, (1, 0, 1)),  # along the sensor's right: it looks along +y from below
-        (0.0, (0, 1, 0)),  # away from the sensor: it looks along +x from the left
-    ],
-)
-def test_sign_conventions(alpha_i, pose):
-    wall = oriented([[1.5, 1.5]], [0.0])
-    scan = oriented([[1.0, 0.0]], [alpha_i])
-    np.testing.assert_array_equal(ght(wall, scan, 4, (3, 4), 1.0), literal(one=pose))
-
-
-@pytest.mark.parametrize(
-    ("turn", "k"), [(0.0, 0), (0.78, 0), (0.79, 1), (-0.78, 0), (-0.79, 3), (2 * np.pi, 0)]
-)
-@pytest.mark.parametrize("base", [0.0, 3.0, -3.1, np.pi])
-def test_headings_are_rounded_and_wrap(turn, k, base):
-    wall, scan = oriented([[0.5, 0.5]], [base + turn]), oriented([[0.0, 0.0]], [base])
-    votes = ght(wall, scan, 4, (1, 1), 1.0)
-    assert np.flatnonzero(votes).tolist() == [k]
-
-
 def test_a_heading_a_hair_below_the_first_bin_stays_on_the_circle():
     # -1e-16 % 4 is 4.0, one bin too many.
     scan = oriented([[0.0, 0.0]], [0.0])
@@ -147,30 +112,6 @@ def test_visibility_is_strict_to_the_last_bit():
             vis = np.full((8, 1), seen, dtype=np.float32)
             votes = ght_v(wall, vis, scan, 1, (1, 3), 1.0, out=None).sum()
             assert votes == (float(seen) > distance) * ght(wall, scan, 1, (1, 3), 1.0).sum()
-
-
-@pytest.mark.parametrize("alpha_j", [0.0, np.pi / 2, -2.5])
-def test_visibility_counts_from_the_normal(alpha_j):
-    # The sensor sees the point 1 m ahead at an angle: the point's normal is 45 degrees off the
-    # way back, so the way back is 45 degrees clockwise from the normal: bin 7 of 8.
-    wall = oriented([[2.0, 2.0]], [alpha_j])
-    scan = oriented([[1.0, 0.0]], [np.pi + np.pi / 4])
-    for b in range(8):
-        vis = np.zeros((8, 1), dtype=np.float32)
-        vis[b] = 5
-        assert ght_v(wall, vis, scan, 4, (4, 4), 1.0).sum() == (b == 7)
-
-
-def test_visibility_only_takes_votes_away():
-    surface, points, vis = random_case(4, m=60, n=40)
-    everybody = ght(surface, points, 9, (7, 10), 0.1)
-    some = ght_v(surface, vis.T.copy(), points, 9, (7, 10), 0.1)
-    assert (some <= everybody).all()
-    assert 0 < some.sum() < everybody.sum()
-    for value in (np.inf, 0.0, np.nan):
-        vis = np.full((N_PSI, 60), value, dtype=np.float32)
-        expected = everybody if value == np.inf else np.zeros_like(everybody)
-        np.testing.assert_array_equal(ght_v(surface, vis, points, 9, (7, 10), 0.1), expected)
 
 
 def test_votes_add_over_blocks_of_pairs():

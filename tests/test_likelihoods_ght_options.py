@@ -56,14 +56,6 @@ def test_once_equals_the_loops(n_theta):
     )
 
 
-def test_once_is_per_scan_point_and_cell():
-    # Three map points in a row: scan point A sees two of them in one cell, B too.
-    wall = OrientedPoints([[0.5, 0.2], [0.5, 0.7], [0.5, 1.2]], np.zeros(3), np.ones(3), np.ones(3))
-    twice = OrientedPoints(np.zeros((2, 2)), np.zeros(2), np.ones(2), np.ones(2))
-    np.testing.assert_array_equal(ght(wall, twice, 1, (2, 1), 1.0)[0], [[4], [2]])
-    np.testing.assert_array_equal(ght(wall, twice, 1, (2, 1), 1.0, once=True)[0], [[2], [2]])
-
-
 def test_once_holds_across_blocks_and_threads():
     m = BLOCK_COLUMNS + 900
     surface, points, vis = random_case(2, m=m, n=7, lost=0.0)

@@ -39,22 +39,6 @@ def test_posterior_equals_the_loops(method, values, free):
     np.testing.assert_array_equal(values, before)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@given(values=stacks, free=masks)
-@settings(max_examples=20)
-def test_posterior_equals_that_of_the_whole_stack(method, values, free):
-    # Slices are summed in another order, which the last bit may show.
-    if method in LOG_METHODS:
-        top = values[:, free].max(initial=-np.inf)
-        whole = np.exp(np.minimum(values - top, 0)) * free
-    else:
-        whole = np.maximum(values, 0) * free
-    total = whole.sum(dtype=np.float64)
-    if total > 0:
-        whole = whole * np.float32(1 / total)
-    np.testing.assert_array_max_ulp(posterior(values, method, free), whole.astype(np.float32), 2)
-
-
 @given(values=stacks, free=masks, temperature=st.sampled_from([0.5, 3.0, 15.0, 1e4]))
 @settings(max_examples=40)
 def test_a_temperature_divides_the_evidence(values, free, temperature):
@@ -99,46 +83,6 @@ def test_a_temperature_is_positive_and_finite(temperature):
 
 def test_the_beam_model_is_the_one_that_is_a_logarithm():
     assert frozenset({"beam"}) == LOG_METHODS
-
-
-@given(stacks, st.floats(-1e4, 1e4))
-@settings(max_examples=40)
-def test_a_constant_of_the_scan_drops_out_of_a_log_likelihood(values, constant):
-    values = np.rint(values)  # so that the sum is exact in float32
-    free = np.ones((2, 4), bool)
-    moved = (values + np.float32(round(constant))).astype(np.float32)
-    np.testing.assert_array_equal(posterior(values, "beam", free), posterior(moved, "beam", free))
-
-
-@pytest.mark.parametrize("method", VOTES)
-@given(values=stacks, power=st.integers(-10, 10))
-@settings(max_examples=20)
-def test_the_unit_of_a_vote_drops_out(method, values, power):
-    free = np.ones((2, 4), bool)
-    scaled = values * np.float32(2.0**power)
-    np.testing.assert_allclose(
-        posterior(values, method, free), posterior(scaled, method, free), atol=1e-6
-    )
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_better_pose_in_a_wall_takes_nothing(method):
-    values = np.array([[[1000.0, 2.0, 1.0]]], np.float32)
-    got = posterior(values, method, np.array([[False, True, True]]))[0, 0]
-    assert got[0] == 0
-    assert got.sum() == pytest.approx(1)
-    assert got[1] == pytest.approx(1 / (1 + math.exp(-1)) if method == "beam" else 2 / 3)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_no_free_cell_no_pose(method):
-    assert not posterior(np.ones((2, 3, 4), np.float32), method, np.zeros((3, 4), bool)).any()
-
-
-@pytest.mark.parametrize("method", VOTES)
-def test_no_positive_vote_no_pose(method):
-    values = np.array([[[0.0, -3.0]]], np.float32)
-    assert not posterior(values, method, np.ones((1, 2), bool)).any()
 
 
 def test_log_likelihoods_may_be_of_any_size():

@@ -74,7 +74,7 @@ def followed(log, name="curved") -> list[tuple[str, str]]:
     return [(m.belief.verdict, m.withheld) for m in moments]
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-3])
+@pytest.mark.parametrize("noise", [1e-9, 1e-3])
 @pytest.mark.parametrize("kind", ["blind", "frozen"])
 def test_noise_in_a_mount_changes_no_verdict(drive, noise, kind) -> None:
     rng = np.random.default_rng(0)
@@ -142,8 +142,7 @@ def corridor(length: float, reach: float, noise: float, n: int) -> tuple[Occupan
     return grid, log
 
 
-@pytest.mark.parametrize("noise", [0.003, 0.005, 0.01])
-@pytest.mark.parametrize("reach", [3.5, 8.0])
+@pytest.mark.parametrize(("noise", "reach"), [(0.003, 3.5), (0.01, 8.0)])
 def test_a_good_lidar_in_a_bare_corridor_is_not_blind(noise, reach) -> None:
     grid, log = corridor(15.0, reach, noise, 150)
     follower = Tracking().follower(imgloc.prepare(grid), imgloc.Options(threads=1))
@@ -184,9 +183,9 @@ def test_the_given_odometry_must_be_finite_and_nothing_changes_if_it_is_not(driv
 
 
 def test_odometry_that_trembles_is_no_way(drive) -> None:
-    """A robot that stands for two minutes, whose odometry trembles by a centimetre."""
+    """A robot that stands for half a minute, whose odometry trembles by a centimetre."""
     rng, log = np.random.default_rng(1), []
-    for k in range(600):
+    for k in range(300):
         ranges = drive[0] + rng.normal(0, 0.01, 181)
         log.append((scan(ranges, k), np.append(rng.normal(0, 0.01, 2), rng.normal(0, 0.005))))
     told = followed(log)

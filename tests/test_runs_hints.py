@@ -140,7 +140,7 @@ def test_where_several_places_fit_as_they_are_nothing_else_is_tried() -> None:
         said = [("ambiguous", Evidence(misfit=misfit))]
         found = doubts(features, ScanSet(tuple(hanging)), said, Options())
         assert len(found) == count
-    assert "Try `flipped=True`" in found[0].text
+    assert "Try `flipped=True`" in found[0].said
     assert doubts(features, ScanSet(tuple(hanging)), [("no-match", Evidence())], Options()) == found
     noise = [
         replace(hanging[0], ranges=np.random.default_rng(0).uniform(1, 9, hanging[0].ranges.size))

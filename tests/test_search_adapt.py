@@ -10,7 +10,7 @@ import pytest
 from imgloc import pipeline
 from imgloc.answers.explain import explain
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import one_per_place
+from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Drawn, FusedOptions, Options, Sensor, Shared
 from imgloc.output.pictures import draw
@@ -25,7 +25,7 @@ from imgloc.search.adapt import (
     walls_of,
 )
 from imgloc.search.refine import normal_equations, refine
-from imgloc.search.rescore import rescore
+from imgloc.search.rescore import score_readings
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -169,13 +169,11 @@ def test_a_pose_may_carry_a_scale():
     seen = one_per_place(scans.scans[0], 0.07)
     poses = np.array([scans.poses[0], scans.poses[0] + (0.1, 0.0, 0.05)])
     one, half = (np.column_stack((poses, np.full(2, s))) for s in (1.0, 0.5))
-    about = (features().field, features().walls, FusedOptions().model)
-    same = rescore(one, seen.ranges, seen.angles, *about).log_likelihood
-    assert same == pytest.approx(rescore(poses, seen.ranges, seen.angles, *about).log_likelihood)
-    halved = rescore(half, seen.ranges, seen.angles, *about).log_likelihood
-    assert halved == pytest.approx(
-        rescore(poses, 0.5 * seen.ranges, seen.angles, *about).log_likelihood, rel=1e-5
-    )
+    model, shrunk = FusedOptions().model, Readings(0.5 * seen.ranges, seen.angles)
+    same = score_readings(features(), seen, one, model)
+    assert same == pytest.approx(score_readings(features(), seen, poses, model))
+    halved = score_readings(features(), seen, half, model)
+    assert halved == pytest.approx(score_readings(features(), shrunk, poses, model), rel=1e-5)
     (A,), (b,), _ = normal_equations(one, seen.xy, features().field, 0.1)
     (without,), (rest,), _ = normal_equations(poses, seen.xy, features().field, 0.1)
     assert A.shape == (2, 4, 4)

@@ -54,8 +54,8 @@ def errors(cells: int, view: float, noise: float, prior, depth: float = 0.0) -> 
 
 
 @pytest.mark.parametrize("cells", [1, 3, 6])
-@pytest.mark.parametrize("view", [90, 180, 270, 360])
-@pytest.mark.parametrize("noise", [0.01, 0.02, 0.05, 0.1, 0.15])
+@pytest.mark.parametrize("view", [90, 180, 360])
+@pytest.mark.parametrize("noise", [0.01, 0.05, 0.15])
 def test_poses_do_not_lean_toward_sharp_walls(cells, view, noise):
     along, across = errors(cells, view, noise, KNOWN).mean(axis=0)
     assert abs(along) < (0.006 if noise <= 0.05 else 0.015)
@@ -85,7 +85,7 @@ def carried(cells: int, view: float, shared: Shared, depth: float, seed: int = 0
     features, readings = room(cells, view), seen(cells, view, 0.02, depth, seed)
     middle = features.grid.info.shape[0] * CELL / 2
     at, options = np.array([[middle, middle, 0.0]]), Options()
-    scores = score_poses(features, readings, at, options)
+    scores = score_poses(features, readings, at, options.model)
     poses, (covariance,) = stand_on_faces(
         features, Modes(at, scores, readings, shared=shared), at, options
     )
@@ -112,7 +112,7 @@ def test_a_pose_stays_where_no_sensor_can_be_at_the_new_one():
     cells = np.zeros(features.grid.info.shape, bool)
     row = int(middle / CELL)
     cells[row, int((middle + 0.05) / CELL)] = True  # only the place of the second is allowed
-    found = Modes(at, score_poses(features, readings, at, options), readings)
+    found = Modes(at, score_poses(features, readings, at, options.model), readings)
     allowed = replace(options, prior=Prior(cells))
     poses, _ = stand_on_faces(features, found, at + [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]], allowed)
     assert poses[1, 0] == pytest.approx(middle + 0.06)

@@ -18,7 +18,7 @@ from imgloc.options import FusedOptions, Options, Prior
 from imgloc.pipeline import find_modes
 from imgloc.search.modes import separate
 from imgloc.search.proposals import cast_votes, propose_votes
-from imgloc.search.rescore import Scores, rescore, shortlist
+from imgloc.search.rescore import Scores, score_poses, score_readings, shortlist
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -85,8 +85,8 @@ def test_a_mode_is_at_the_mean_of_its_maxima_unless_that_is_in_a_wall(screen, x)
     wall[10:30, 20] |= screen  # from x = 2.0 m to 2.1 m
     features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
     poses = np.array([[1.9, 2.0, 0.2], [2.2, 2.0, 0.2], [3.5, 1.0, 0.0]])
-    score, pieces = np.array([-50.0, -50.0, -90.0]), np.zeros(3, int)
-    scores = Scores(score, score, pieces, pieces, np.ones((3, 4), bool), np.eye(3, 4) > 0)
+    score, pieces = np.array([-50.0, -50.0, -90.0]), [np.zeros((3, 1), bool)] * 3
+    scores = Scores(score, score, *pieces, np.ones((3, 4), bool), np.eye(3, 4) > 0)
     mean, best, spread = separate(features, poses, scores, 4, Options())
     np.testing.assert_allclose(mean, [[x, 2.0, 0.2], [3.5, 1.0, 0.0]], atol=1e-12)
     np.testing.assert_array_equal(best.log_likelihood, [-50.0, -90.0])
@@ -168,14 +168,7 @@ def test_what_is_returned(name):
     # Scored with the rays it names, best first.
     assert len(found.readings) == min(OPTIONS.rays, len(one_per_place(scan, OPTIONS.place)))
     assert evidence.on_surface.shape == evidence.crossed.shape == (len(poses), len(found.readings))
-    again = rescore(
-        poses,
-        found.readings.ranges,
-        found.readings.angles,
-        features.field,
-        features.walls,
-        OPTIONS.model,
-    )
+    again = score_poses(features, found.readings, poses, OPTIONS.model)
     # Of the best maximum of each mode; the pose is the mean of them.
     less = np.abs(evidence.log_likelihood - again.log_likelihood) / len(found.readings)
     assert less.max() < 0.15
@@ -328,6 +321,6 @@ def test_two_layers_of_a_wall_have_a_maximum_each():
         options = Options(fused=dataclasses.replace(OPTIONS, closer=closer))
         kept, score = shortlist(poses, readings, features, options)
         assert len(kept) == expected
-        seen = (readings.ranges, readings.angles, features.field, features.walls)
-        np.testing.assert_array_equal(score, rescore(kept, *seen, options.model).log_likelihood)
+        again = score_readings(features, readings, kept, options.model)
+        np.testing.assert_array_equal(score, again)
         assert score[0] == score.max()

@@ -63,17 +63,6 @@ def test_moments_equal_the_loops(shape, seed, radius):
         np.testing.assert_allclose(covariance[i], expected, atol=1e-9)
 
 
-@given(shapes, seeds)
-def test_masses_are_shares_and_covariances_positive_definite(shape, seed):
-    probability = stack_of(seed, shape)
-    poses, mass, covariance = moments(probability, find_peaks(probability, 50, radius=2))
-    assert 0 < mass.sum() <= 1 + 1e-5
-    assert np.all(mass > 0)
-    assert np.all(np.abs(poses[:, 2]) <= np.pi)
-    np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), atol=1e-15)
-    assert np.all(np.linalg.eigvalsh(covariance) > 0)
-
-
 @given(seeds, st.integers(0, 8))
 @settings(max_examples=30)
 def test_the_answer_turns_with_the_stack(seed, turn):
@@ -87,33 +76,6 @@ def test_the_answer_turns_with_the_stack(seed, turn):
     )
     np.testing.assert_allclose(turned[1], mass, atol=1e-12)
     np.testing.assert_allclose(turned[2], covariance, atol=1e-9)
-
-
-def test_all_mass_in_one_cell():
-    probability = np.zeros((8, 3, 5), np.float32)
-    probability[6, 1, 4] = 1
-    poses, mass, covariance = moments(probability, [[6, 1, 4]])
-    np.testing.assert_allclose(poses, [[0.9, 0.3, -np.pi / 2]])
-    assert mass.tolist() == [1]
-    # A uniform draw within the cell.
-    np.testing.assert_allclose(covariance[0], np.diag([0.04, 0.04, (np.pi / 4) ** 2]) / 12)
-
-
-def test_a_mean_across_the_seam_of_the_circle():
-    probability = np.zeros((12, 1, 1), np.float32)
-    probability[0], probability[11] = 0.75, 0.25
-    (pose,), (mass,), (covariance,) = moments(probability, [[0, 0, 0]])
-    assert mass == 1
-    assert pose[2] == pytest.approx(-np.pi / 6 / 4)
-    assert covariance[2, 2] == pytest.approx((np.pi / 6) ** 2 * (0.75 * 0.25 + 1 / 12))
-
-
-def test_rows_are_y():
-    probability = np.zeros((1, 3, 3), np.float32)
-    probability[0, :, 1] = 0.25, 0.5, 0.25
-    (pose,), _, (covariance,) = moments(probability, [[0, 1, 1]])
-    np.testing.assert_allclose(pose[:2], [0.3, 0.3])
-    assert covariance[1, 1] - covariance[0, 0] == pytest.approx(0.5 * RESOLUTION**2)
 
 
 def test_a_cell_between_two_peaks_counts_for_the_better():

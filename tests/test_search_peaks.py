@@ -106,14 +106,6 @@ def test_zero_width_copies():
     assert values[0, 0, 0] == 0
 
 
-@pytest.mark.parametrize(("px", "bins"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
-def test_smoothing_leaves_its_input_alone(px, bins):
-    values = np.random.default_rng(1).random((4, 5, 6)).astype(np.float32)
-    before = values.copy()
-    smooth(values, px, bins)
-    np.testing.assert_array_equal(values, before)
-
-
 @given(shapes, seeds, st.integers(0, 3), st.integers(1, 3), st.integers(1, 300))
 @settings(max_examples=150)
 def test_peaks_equal_the_loops(shape, seed, radius, top, n):
@@ -184,40 +176,10 @@ def test_peaks_of_distinct_values_turn_with_the_circle(shape, seed, radius):
     np.testing.assert_array_equal(find_peaks(values, 2, radius=radius), peaks[:2])
 
 
-def test_the_first_and_the_last_heading_are_neighbours():
-    values = np.zeros((5, 3, 3), np.float32)
-    values[0, 1, 1], values[4, 2, 2], values[2, 1, 1] = 3, 2, 1
-    assert find_peaks(values, 9).tolist() == [[0, 1, 1], [2, 1, 1]]
-    assert find_peaks(values, 9, radius=2).tolist() == [[0, 1, 1]]
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_slope_has_one_peak(axis, direction):
-    # Each but the last has a larger neighbour on one side, which is no peak either.
-    values = np.array([1, 2, 3, 4, 0, 0, 0], np.float32)[::direction]
-    shape = np.roll([7, 1, 1], axis)
-    (peak,) = find_peaks(values.reshape(shape), 9).tolist()
-    assert peak[axis] == int(values.argmax())
-
-
-def test_rows_and_columns_do_not_wrap():
-    values = np.zeros((1, 4, 4), np.float32)
-    values[0, 0, 0], values[0, 3, 0], values[0, 0, 3] = 3, 2, 1
-    assert find_peaks(values, 9).tolist() == [[0, 0, 0], [0, 3, 0], [0, 0, 3]]
-
-
 def test_a_better_value_where_no_peak_may_be_hides_none():
     values = np.array([[[5, 4, 0, 1]]], np.float32)
     where = np.array([[False, True, True, True]])
     assert find_peaks(values, 9, where=where).tolist() == [[0, 0, 1], [0, 0, 3]]
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0])
-def test_nothing_above_zero_is_no_peak(value):
-    peaks = find_peaks(np.full((3, 2, 4), value, np.float32), 5)
-    assert peaks.shape == (0, 3)
-    assert peaks.dtype == np.int64
 
 
 def poses_of(seed, n):
@@ -258,12 +220,6 @@ def test_neighbours_are_strictly_closer_in_both():
     picked, owner = separated(np.array(at, float), 9, distance=0.5, angle=0.25)
     assert picked.tolist() == [0, 1, 2]
     assert owner.tolist() == [0, 1, 2, 0, 2]
-
-
-def test_no_poses():
-    picked, owner = separated(np.empty((0, 3)), 5, distance=1, angle=1)
-    assert picked.tolist() == owner.tolist() == []
-    assert picked.dtype == owner.dtype == np.int64
 
 
 def test_first_in_cell_knows_sides_and_the_circle():

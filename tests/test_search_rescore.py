@@ -17,7 +17,14 @@ from imgloc.model import OccupancyGrid
 from imgloc.numbers import number
 from imgloc.options import Bending, EvidenceModel, FusedOptions, Options, Shared
 from imgloc.search.refine import endpoints
-from imgloc.search.rescore import bent_evidence, hit_density, rescore, shortlist
+from imgloc.search.rescore import (
+    hit_density,
+    piece_evidence,
+    pieces,
+    score_poses,
+    shortlist,
+    things_at,
+)
 
 RESOLUTION = 0.1
 seeds = st.integers(0, 2**32 - 1)
@@ -33,14 +40,9 @@ def room_with_pillars(seed, shape=(50, 70)):
 
 
 def score(wall, poses, ranges, angles, model=None, resolution=RESOLUTION):
-    return rescore(
-        np.asarray(poses, float),
-        np.asarray(ranges, float),
-        np.asarray(angles, float),
-        distance_field(wall, resolution),
-        distance_image(wall),
-        model or EvidenceModel(),
-    )
+    features = MapFeatures(OccupancyGrid(wall, ~wall, resolution))
+    readings = Readings(np.asarray(ranges, float), np.asarray(angles, float))
+    return score_poses(features, readings, np.asarray(poses, float), model or EvidenceModel())
 
 
 def walk(wall, x, y, psi, limit):
@@ -59,6 +61,15 @@ def naive_shifted(seen, rho, model, resolution=RESOLUTION):
     """Chance, relative to its best, that a wall met at `seen` is drawn in a wrong place."""
     beyond = max(rho - seen - (model.margin + resolution / 2), 0)
     return math.exp(-((beyond / model.displaced) ** 2))
+
+
+def naive_chances(wall, pose, rho, phi, model):
+    """Chances of rays close by: a ray may only just touch something, and a walk has steps."""
+    x, y, theta = pose
+    for turn in (-0.003, 0.0, 0.003):
+        seen = walk(wall, x, y, theta + phi + turn, rho)
+        for more in (-0.005, 0.005):
+            yield naive_shifted(seen + more, rho, model)
 
 
 def naive_log_density(d, shifted, model):
@@ -84,12 +95,7 @@ def test_the_score_equals_the_loops(seed, model):
         distance = endpoints(poses, rho * np.array([[math.cos(phi), math.sin(phi)]]), field)
         for i, (x, y, theta) in enumerate(poses):
             d = float(distance[2][i, 0])
-            # A ray may only just touch something, and a walk is exact to its steps.
-            shifted = [
-                naive_shifted(walk(wall, x, y, theta + phi + turn, rho) + more, rho, model)
-                for turn in (-0.003, 0.0, 0.003)
-                for more in (-0.005, 0.005)
-            ]
+            shifted = list(naive_chances(wall, (x, y, theta), rho, phi, model))
             bounds = [naive_log_density(d, of(shifted), model) for of in (min, max)]
             assert bounds[0] - 1e-3 <= alone.log_likelihood[i] <= bounds[1] + 1e-3
             if max(shifted) < 0.95 * model.absent:  # gone rather than displaced
@@ -146,15 +152,34 @@ def test_the_evidence_of_bent_walls_equals_the_loops(seed, bent):
     rng, model = np.random.default_rng(seed), EvidenceModel(bent=bent)
     angles, ranges = rng.uniform(-3, 3, 15), rng.choice([2.0, 2.3, 4.0], 15)
     distance = rng.normal(0, 0.3, (3, 15)).astype(np.float32)
-    got = bent_evidence(distance, ranges, angles, model)
+    got = displaced(distance, ranges, angles, model)
     expected = [naive_bent(d.tolist(), ranges, angles, model) for d in distance]
     np.testing.assert_allclose(got, expected, rtol=1e-4)
-    model = model.bending(bent)
-    shifted = rng.choice([1.0, 0.9, 0.1, 0.0], (3, 15)).astype(np.float32)
-    got = bent_evidence(distance, ranges, angles, model, shifted)
-    rows = zip(distance.tolist(), shifted.tolist(), strict=True)
-    expected = [naive_bent(d, ranges, angles, model, s) for d, s in rows]
-    np.testing.assert_allclose(got, expected, rtol=1e-4)
+
+
+def displaced(distance, ranges, angles, model):
+    order, parts = pieces(ranges, angles)
+    return piece_evidence(distance[:, order], parts, model).sum(axis=1)
+
+
+@given(seeds, st.sampled_from([0.05, 0.15, 0.4]))
+@settings(max_examples=12)
+def test_pieces_of_bent_walls_before_and_beyond_others_equal_the_loops(seed, bent):
+    wall, poses, rng = room_with_pillars(seed)
+    model = EvidenceModel().bending(bent)
+    angles, ranges = rng.uniform(-3, 3, 15), rng.choice([2.0, 2.3, 4.0], 15)
+    got = score(wall, poses[:2], ranges, angles, model).log_likelihood
+    xy = ranges[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
+    distance = endpoints(poses[:2], xy, distance_field(wall, RESOLUTION))[2]
+    for one, d, pose in zip(got, distance.tolist(), poses, strict=False):
+        chances = [
+            sorted(naive_chances(wall, pose, rho, phi, model))
+            for rho, phi in zip(ranges, angles, strict=True)
+        ]
+        least, most = (
+            naive_bent(d, ranges, angles, model, [each[k] for each in chances]) for k in (0, -1)
+        )
+        assert least - 1e-3 <= one <= most + 1e-3
 
 
 def test_bent_walls_forgive_a_piece_that_is_off_but_not_readings_that_scatter():
@@ -162,7 +187,7 @@ def test_bent_walls_forgive_a_piece_that_is_off_but_not_readings_that_scatter():
     offs = {"none": np.zeros(12), "off": np.full(12, 0.2), "scattered": np.tile([0.2, -0.2], 6)}
     straight, bent = EvidenceModel(), EvidenceModel(bent=0.15)
     got = {
-        name: bent_evidence(d, ranges, angles, bent)[0] - np.log(hit_density(d, straight)).sum()
+        name: displaced(d, ranges, angles, bent)[0] - np.log(hit_density(d, straight)).sum()
         for name, d in ((name, d[None].astype(np.float32)) for name, d in offs.items())
     }
     assert got["none"] < 0
@@ -197,18 +222,6 @@ def corridor(screen=None):
 
 
 POSE = [[1.0, 1.0, 0.0]]
-
-
-def test_a_wall_in_between_costs_the_chance_that_it_is_gone():
-    model = EvidenceModel()
-    plain = score(corridor(), POSE, [4.0, 4.0], [0.0, 0.1], model)
-    screened = score(corridor(screen=2.5), POSE, [4.0, 4.0], [0.0, 0.1], model)
-    assert plain.crossed.tolist() == [[False, False]]
-    assert screened.crossed.tolist() == [[True, True]]
-    # The screen is too far from the endpoints to change their distances.
-    cost = plain.log_likelihood[0] - screened.log_likelihood[0]
-    assert cost == pytest.approx(-2 * math.log(model.absent), rel=1e-5)
-    assert (plain.explained[0], screened.explained[0]) == (1, 0)
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.1, 0.2])
@@ -253,14 +266,6 @@ def test_too_short_is_no_surprise_and_too_long_is(rho, crossed, on_surface):
     assert bool(got.on_surface[0, 0]) is on_surface
 
 
-@pytest.mark.parametrize("model", [EvidenceModel(), EvidenceModel((0.1, 0.3), 0.6, 5.0)])
-def test_no_reading_is_better_than_the_best(model):
-    assert model.best == pytest.approx(naive_log_density(0.0, 1.0, model))
-    ranges = np.linspace(0.05, 7, 200)
-    each = [score(corridor(), POSE, [r], [0.0], model).log_likelihood[0] for r in ranges]
-    assert model.best - 0.2 < max(each) <= model.best + 1e-4
-
-
 def test_what_fits_best_scores_best():
     rho = np.arange(3.0, 5.0, 0.05)
     got = [score(corridor(), POSE, [r], [0.0]).log_likelihood[0] for r in rho]
@@ -275,13 +280,6 @@ def test_a_reading_of_nothing_on_the_map_costs_the_same_everywhere():
     chance = math.log((1 - model.hit) / model.span)
     assert got.log_likelihood[0] == pytest.approx(2 * chance, rel=1e-5)
     assert not got.on_surface.any()
-
-
-def test_off_the_map_nothing_is_met():
-    got = score(corridor(), [[1.0, 1.0, math.pi / 2]], [9.0], [0.0])
-    assert not got.crossed.any()
-    assert not got.on_surface.any()
-    assert np.isfinite(got.log_likelihood).all()
 
 
 @given(seeds)
@@ -396,3 +394,20 @@ def test_pieces_that_pass_through_a_wall_are_counted_and_strays_are_not():
     got = score(corridor(), POSE, far, angles)
     assert got.crossed.sum() == 1
     assert got.through[0] == 0
+
+
+def test_things_are_named_by_where_they_are():
+    wall = corridor()
+    angles = np.concatenate((np.linspace(-0.1, 0.1, 21), np.linspace(0.4, 0.5, 7)))
+    ranges = np.where(angles < 0.2, 4.0 / np.cos(angles), 1.5)  # the wall, and a box before it
+    features = MapFeatures(OccupancyGrid(wall, ~wall, RESOLUTION))
+    readings = Readings(ranges, angles)
+    scores = score_poses(features, readings, np.array(POSE), EvidenceModel())
+    (box,) = things_at(readings, scores, 0)
+    assert (box.bearing, box.distance) == pytest.approx((0.45, 1.5), abs=0.01)
+    assert (box.share, box.through) == (pytest.approx(7 / 28), False)
+    screened = MapFeatures(OccupancyGrid(corridor(screen=3.0), ~corridor(screen=3.0), RESOLUTION))
+    scores = score_poses(screened, readings, np.array(POSE), EvidenceModel())
+    (gone, box) = things_at(readings, scores, 0)
+    assert gone.through
+    assert gone.share > box.share

@@ -1,8 +1,7 @@
 """The benchmark: every method and engine beside plain references and C, timed in turns in one run.
 
     python -m tools.bench                        # on a bundled world
-    python -m tools.bench --problem ../problem   # on maps A and B, with the floors in C
-    python -m tools.bench --parts engines        # how far engine="auto" is from the best one
+    python -m tools.bench --problem ../problem   # on maps A and B, beside a search in C
     python -m tools.bench --parts localize,command --sets ../data/*/map.yaml   # on recorded scans
     python -m tools.bench --parts huge           # a map of 10,000 x 10,000 cells
 
@@ -21,10 +20,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -47,14 +45,10 @@ from imgloc import (
     save_scans,
     simulate,
 )
-from imgloc.features.distance import distance_image
-from imgloc.features.fields import bmap
-from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
-from imgloc.features.surface import surface_points
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.cbml import cbml, cbml_o, project
-from imgloc.likelihoods.correlate import ENGINES, EXACT, correlate
+from imgloc.likelihoods.correlate import ENGINES
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, to_json
@@ -62,9 +56,9 @@ from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import recorded_sets
 from tools.script import at_least_one, ended, one_of, parser_of, table_lines
 
-PARTS = ("costs", "engines", "localize", "command", "huge")
-"""Stacks and votes beside plain references and C; engines beside ``auto``; answers; the command
-from a warm cache, and its batch with one worker and two; the largest map."""
+PARTS = ("costs", "localize", "command", "huge")
+"""Stacks and votes beside plain references; answers, beside a search in C; the command from a warm
+cache, and its batch with one worker and two; the largest map."""
 HUGE = 10_000
 """Cells of the largest map along a side."""
 
@@ -78,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--problem", type=Path, help="folder with mapA, mapB and scans_10m.npz")
     add("--sets", type=Path, nargs="*", default=[], help="maps with a scans.npz beside them")
     add("--range-max", type=float, default=20.0, help="metres, of their scans")
-    first = ",".join(PARTS[:3])
+    first = ",".join(PARTS[:2])
     add("--parts", default=first, help=f"of {', '.join(PARTS)}, commas between (default: {first})")
     add("--repeats", type=int, default=5)
     add("--threads", type=int, default=os.cpu_count() or 1)
@@ -121,11 +115,7 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
         out |= {
             "map": name, "surface_points": len(features.surface),
             "readings": int(scan.valid.sum()), "costs": [as_row(t) for t in timings],
-            "floors": {} if problem is None else floors(problem),
         }  # fmt: skip
-    if "engines" in parts:
-        rows = engine_rows(repeats=repeats)
-        out |= {"engines": rows, "auto_over_best": engine_summary(rows)}
     if "localize" in parts:
         answers, searches = dict[str, dict[str, float]](), list[float | str]()
         for name, grid, scans in (*((k, *of) for k, of in maps.items()), *recorded):
@@ -135,7 +125,7 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
         out["localize"] = answers
         if searches:
             known = [ms for ms in searches if isinstance(ms, float)]
-            out["yardstick"] = {"ms": min(known) if known else searches[0]}
+            out["yardstick"] = min(known) if known else searches[0]
             for row in answers.values() if known else ():
                 row["over_c"] = row["median_ms"] / min(known)
     if "command" in parts:
@@ -177,29 +167,16 @@ def bench_tables(results: Mapping[str, Any]) -> str:
             if isinstance(found, dict):
                 rows = [{"name": k, **r} for k, r in found.items()]
             parts.append("\n".join(table_lines(head, map(cells, rows), "---:")))
-    for key, title in _TITLES.items():
-        if key in results:
-            said = ", ".join(
-                f"{name} {v if isinstance(v, str) else format(v, '.4g')}"
-                for name, v in results[key].items()
-            )
-            parts.append(f"{title}: {said or 'not measured'}")
+    if (ms := results.get("yardstick")) is not None:
+        parts.append(f"{_YARDSTICK}: {ms if isinstance(ms, str) else f'{ms:.4g} ms'}")
     return "\n\n".join(parts)
 
 
-_NAMES = (*ENGINES, "auto")
 _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
     "costs": (
         "case | ns per | ms | spread",
         lambda r: (
             r["case"], f"{r['ns']:.4f} {r['unit']}", f"{r['ms']:.2f}", f"{100 * r['spread']:.0f} %"
-        ),
-    ),
-    "engines": (
-        f"cells | reach | rays | {', ms | '.join(_NAMES)}, ms | best | auto / best",
-        lambda r: (
-            r["size"], r["reach"], r["rays"], *(f"{r['ms'][name]:.2f}" for name in _NAMES),
-            r["best"], f"{r['ratio']:.2f}",
         ),
     ),
     "localize": (
@@ -223,11 +200,7 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
         lambda r: (r["name"], f"{r['prepare']:.1f}", f"{r['answer']:.2f}", f"{r['gb']:.2f}"),
     ),
 }  # fmt: skip
-_TITLES = {
-    "auto_over_best": "auto / best",
-    "floors": "the same in C, ns",
-    "yardstick": "every pose of CBML on map A in hand-written C, one thread",
-}
+_YARDSTICK = "every pose of CBML on map A in hand-written C, one thread"
 
 
 @dataclass(frozen=True)
@@ -484,111 +457,11 @@ def added(features: MapFeatures, scan: LaserScan) -> FloatArray:
     return out
 
 
-SIZES, REACHES, RAYS = (125, 250, 500, 1000), (25, 100, 300), (32, 181, 720)
-"""Cells along a side of the map, cells that the sensor sees, its rays."""
-
-_CELL = 0.1
-_SECONDS = 0.1  # that an engine is timed for in all its repeats, if one takes less
-_MOST = 50  # repeats
-_HOPELESS = 3.0  # times as slow as another: timed twice only
-
-
-def engine_rows(
-    sizes: Sequence[int] = SIZES,
-    reaches: Sequence[int] = REACHES,
-    rays: Sequence[int] = RAYS,
-    *,
-    headings: int = 8,
-    repeats: int = 5,
-) -> tuple[Mapping[str, Any], ...]:
-    """Time CBML's correlation by every engine, for sizes and reaches in cells, and numbers of rays.
-
-    On one thread; of at least `repeats` turns the least time counts. A row has ``size``, ``reach``,
-    ``rays``, ``ms`` of each engine and of ``auto``, the ``best`` one and ``ratio``, auto's to it.
-    """
-    rows: list[Mapping[str, Any]] = []
-    thetas = uniform_thetas(2 * np.pi / headings) + 0.1  # none of them along the walls
-    for size in sizes:
-        grid = tiled(render(WORLDS["large"](), _CELL), size)
-        surface = surface_points(grid.occupied, grid.free, _CELL)
-        image = np.rint(255 * bmap(surface.xy, (size, size), _CELL, _CELL)).astype(np.uint8)
-        out = np.empty((headings, size, size), dtype=np.float32)
-        for reach, n in product(reaches, rays):
-            xy = seen(grid, reach, n)
-            run = partial(correlate, image, xy, thetas, _CELL, out=out)
-            ms = _least({e: partial(run, engine=e) for e in (*ENGINES, "auto")}, repeats)
-            best = min(EXACT, key=ms.__getitem__)  # those that `auto` chooses from
-            about = {"size": size, "reach": reach, "rays": n, "ms": ms, "best": best}
-            rows.append(about | {"ratio": ms["auto"] / ms[best]})
-    return tuple(rows)
-
-
-def engine_summary(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, float]:
-    """Median and worst ratio of the time of ``auto`` to that of the best engine.
-
-    Examples
-    --------
-    >>> engine_summary([{"ratio": 1.0}, {"ratio": 1.4}, {"ratio": 1.1}])
-    {'median': 1.1, 'worst': 1.4, 'within 20 %': 0.6666666666666666}
-    """
-    ratio = np.array([row["ratio"] for row in rows])
-    return {
-        "median": float(np.median(ratio)),
-        "worst": float(ratio.max()),
-        "within 20 %": float((ratio <= 1.2).mean()),
-    }
-
-
 def tiled(one: OccupancyGrid, size: int) -> OccupancyGrid:
     """A map, repeated or cut to `size` cells a side."""
     times = [-(-size // n) for n in one.occupied.shape]
     occupied, free = (np.tile(v, times)[:size, :size] for v in (one.occupied, one.free))
     return OccupancyGrid(occupied.copy(), free.copy(), one.resolution)
-
-
-def seen(grid: OccupancyGrid, reach: int, rays: int) -> FloatArray:
-    """Points (rays, 2) that a sensor around the middle of a map sees, metres.
-
-    A ray that meets no wall within `reach` cells ends there, so that there are as many points as
-    rays and as long ones as said.
-    """
-    height, width = grid.occupied.shape
-    row, column = np.nonzero(grid.free)
-    at = int(np.hypot(row - height / 2, column - width / 2).argmin())
-    start = (np.array([column[at], row[at]]) + 0.5) * _CELL
-    angles = np.linspace(-np.pi, np.pi, rays, endpoint=False)
-    length = reach * _CELL
-    ranges = cast_rays(distance_image(grid.occupied), start, angles, length, _CELL)
-    ranges = np.minimum(ranges, length)
-    return np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
-
-
-def _least(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Least milliseconds of processor time of each call, taken in turns."""
-
-    def least(names: Iterable[str], turns: int) -> dict[str, float]:
-        cases = [(name, "call", 1.0, calls[name]) for name in names]
-        return {t.name: min(t.seconds) for t in in_turns(cases, turns, time.process_time)}
-
-    seconds = least(calls, min(2, repeats))
-    fastest = min(seconds.values())
-    near = [name for name, value in seconds.items() if value <= _HOPELESS * fastest]
-    turns = max(repeats, min(_MOST, int(_SECONDS / fastest)))
-    seconds |= least(near, turns)
-    return {name: 1e3 * value for name, value in seconds.items()}
-
-
-def floors(problem: Path) -> Mapping[str, float | str]:
-    """What C takes, ns per unit of work, on one thread; or why it is not known.
-
-    `problem` has ``floor/cbml.c``, ``floor/ght.c``, ``mapA.pgm`` and ``scans_10m.txt``.
-    """
-    cells = "0.1", str(PAIR_HEADINGS)
-    return {
-        "cbml": _in_c(problem, "cbml", _SEARCH, r"([\d.]+) ns per pose"),
-        "ght": _in_c(problem, "ght", (*cells, "2", "10"), r"([\d.]+) ns/pair"),
-        "ght-v": _in_c(problem, "ght", (*cells, "12", "10"), r"([\d.]+) ns/pair"),
-    }
 
 
 def exhaustive_search(problem: Path, repeats: int) -> float | str:

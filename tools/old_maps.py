@@ -6,13 +6,12 @@ number of its log for each scan)::
     python -m tools.old_maps ../data/wean --starts 8
     python -m tools.old_maps ../data/wean --starts 8 --calibrated
     python -m tools.old_maps ../data/wean --one-scan 60
-    python -m tools.old_maps ../data/wean --amcl
 
 It prints a row for each log from its true start, and a row for starts spread over it from anywhere.
 With ``--calibrated`` the tracker begins with what ``imgloc calibrate --scans`` finds in the set.
 With ``--one-scan N`` it locates each of N scans by itself, with the walls as drawn and with what
-``imgloc calibrate --scans`` finds in the whole set. With ``--amcl`` AMCL runs beside the tracker,
-which does not say what is unique. A log without odometry gets that of its poses, with noise.
+``imgloc calibrate --scans`` finds in the whole set. A log without odometry gets that of its poses,
+with noise.
 """
 
 from collections.abc import Iterator
@@ -23,7 +22,6 @@ from pathlib import Path
 import numpy as np
 
 from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
-from imgloc.errors import ConfigError
 from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses, with_odometry
 from imgloc.geometry import pose_errors, poses_of
@@ -32,7 +30,6 @@ from imgloc.model import Pose2D
 from imgloc.options import TOLERANCES, Every, Shared
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import sample_set
-from tools.amcl_run import NAV2, SURE, missing, run_amcl
 from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.script import at_least_one, ended, parser_of, table_lines
 
@@ -41,8 +38,6 @@ HIT = TOLERANCES[-1]  # of one scan
 FOUND = 30.0  # metres driven after which a robot should be found
 PIECE = 35.0  # metres of a run from anywhere
 ONE = "set | walls | scans | first | unique | unique and wrong | no-match | lists the pose"
-BESIDE = "log | filter | start | within 1 m | right after 30 m | m to the right place"
-STAYS = 5.0  # metres driven for which a place that was found is right
 HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m"
 
 
@@ -53,7 +48,6 @@ class Row:
     log: str
     start: str
     runs: list[Run]
-    filter: str = "tracker"
 
     @property
     def cells(self) -> Iterator[str]:
@@ -65,18 +59,6 @@ class Row:
         yield from (self.log, self.start, f"{near.mean():.2f}", f"{unique.mean():.2f}")
         yield f"{np.count_nonzero(unique & ~near)} of {len(near)}"
         yield f"{sum(found)} of {len(found)}"
-
-    @property
-    def to_place(self) -> str:
-        """Median of the metres driven until the pose is right and stays so; how many get there."""
-        ways = []
-        for run in self.runs:
-            right = run.error[:, 0] <= RIGHT
-            ends = np.searchsorted(run.metres, run.metres + STAYS, side="right")
-            there = [run.metres[k] for k, end in enumerate(ends.tolist()) if right[k:end].all()]
-            ways += there[:1]
-        middle = f"{np.median(ways):.1f}" if ways else "-"
-        return f"{middle}, {len(ways)} of {len(self.runs)}"
 
 
 def logs_of(folder: Path) -> Iterator[tuple[str, ScanSet]]:
@@ -115,26 +97,6 @@ def pieces_of(scans: ScanSet, starts: int) -> Iterator[ScanSet]:
     yield from from_starts(scans, np.linspace(0, last, starts).astype(int).tolist(), PIECE)
 
 
-def amcl_rows_of(folder: Path, starts: int) -> Iterator[Row]:
-    """The rows of AMCL on a set."""
-    grid = load_map(folder / "map.yaml")
-    for name, scans in logs_of(folder):
-        poses = robot_poses(scans)
-        if poses is not None:
-            for alpha in (NAV2, SURE):
-                run = run_amcl(grid, scans, Pose2D(*poses[0]), alpha)
-                yield Row(name, "true", [run], f"AMCL, {alpha:g}")
-        runs = [run_amcl(grid, piece, None, SURE) for piece in pieces_of(scans, starts)]
-        yield Row(name, f"{starts} from anywhere", runs, f"AMCL, {SURE:g}")
-
-
-def beside(folder: Path, starts: int) -> Iterator[tuple[str, ...]]:
-    """The rows of AMCL, then those of the tracker, as cells."""
-    for row in chain(amcl_rows_of(folder, starts), rows_of(folder, starts, calibrated=False)):
-        log, start, near, _, _, found = row.cells
-        yield log, row.filter, start, near, found, row.to_place
-
-
 def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...]]:
     """The rows of a set whose scans are located one by one."""
     grid, recorded = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
@@ -160,7 +122,6 @@ def main() -> int:
     parser.add_argument("--starts", type=int, default=8, help="from anywhere, in each log")
     parser.add_argument("--calibrated", action="store_true", help="begin with fitted walls")
     parser.add_argument("--one-scan", type=int, metavar="N", help="locate N scans one by one")
-    parser.add_argument("--amcl", action="store_true", help="run AMCL beside the tracker")
     parser.add_argument("--seed", type=int, default=1, help="draws these scans")
     given = parser.parse_args()
 
@@ -172,13 +133,6 @@ def main() -> int:
                 print(line, flush=True)
             return 0
         at_least_one(starts=given.starts)
-        if given.amcl:
-            if (why := missing()) is not None:
-                raise ConfigError(why)
-            cells = chain.from_iterable(beside(f, given.starts) for f in given.folders)
-            for line in table_lines(BESIDE, cells):
-                print(line, flush=True)
-            return 0
         how = {"calibrated": given.calibrated}
         rows = (row.cells for f in given.folders for row in rows_of(f, given.starts, **how))
         for line in table_lines(HEAD, rows):

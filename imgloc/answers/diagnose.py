@@ -6,30 +6,28 @@ Upside down, other units, a map of another scale: each is one more answer for a 
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from imgloc.answers.causes import Cause, Given, cause
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
-from imgloc.io.calibration import calibration_path
-from imgloc.io.files import PathLike, display
-from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
+from imgloc.io.maps import looks_drawn, looks_swapped
 from imgloc.io.scanset import ScanSet
 from imgloc.model import (
     SURE,
     Evidence,
     LaserScan,
     Localization,
-    OccupancyGrid,
     Pose2D,
     base_of,
     compose,
     inverse,
 )
 from imgloc.numbers import number
-from imgloc.options import Drawn, Options, Prior, Shared, Trust
+from imgloc.options import Options, Prior, Shared, Trust
 from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
@@ -46,74 +44,6 @@ UNITS = {"millimetres": 0.001, "centimetres": 0.01}  #: metres
 _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
 
 
-OLD = "an old map? see imgloc map changes"
-_LOOK = "imgloc localize MAP SCANS `index=N` `explain=why.html` shows one ray by ray"
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """What most likely is wrong, and what mends it."""
-
-    code: str  #: one word that names it, the same in every version
-    text: str  #: a sentence or two
-    short: str  #: the same for a picture
-    options: str = ""  #: arguments that mend it, in backquotes; empty if there are none
-    found: bool = True  #: tried, and it helps; otherwise it is where to look
-
-
-@dataclass(frozen=True)
-class Given:
-    """What was stated about scans before they were located."""
-
-    flipped: bool = False  #: they were taken for those of a sensor that hangs upside down
-    range_scale: float = 1.0  #: their ranges were multiplied by it
-    calibration: str = ""  #: the file that the shared error of the options is from; empty: none is
-    uncalibrated: Shared = field(default_factory=Shared)  #: the shared error without that file
-
-    def beside(
-        self, map_path: PathLike, grid: OccupancyGrid, drawn: Drawn | None = None
-    ) -> "Given":
-        """The same, with the calibration file beside a map; `drawn` is stated about its walls."""
-        shared = (drawn or Drawn()).on(Shared(), grid.resolution)
-        file = display(calibration_path(map_path))
-        return replace(self, calibration=file, uncalibrated=shared)
-
-    def calibrated(self, shared: Shared, keys: Sequence[str]) -> str:
-        """Words that name the calibration file, and what it says of some keys of `shared`.
-
-        They end with what mends it. They are empty if the file does not decide any of these keys.
-
-        Examples
-        --------
-        >>> given = Given(calibration="hall.calibration.json")
-        >>> given.calibrated(Shared(scale=1.3), ["scale", "bent"])[:45]
-        'hall.calibration.json, whose shared.scale is '
-        >>> given.calibrated(Shared(), ["scale"]), Given().calibrated(Shared(1.3), ["scale"])
-        ('', '')
-        """
-        used, without = vars(shared), vars(self.uncalibrated)
-        values = [f"shared.{key} is {used[key]:g}" for key in keys if used[key] != without[key]]
-        if not self.calibration or not values:
-            return ""
-        return (
-            f"{self.calibration}, whose {' and '.join(values)}. Make that file anew with imgloc "
-            "calibrate MAP --scans FILE `force=True`, or move it away"
-        )
-
-    def advice(self, options: str) -> str:
-        """A sentence that advises `options`, or to leave out what was wrong before.
-
-        Examples
-        --------
-        >>> Given().advice("`flipped=True`"), Given(flipped=True).advice("`flipped=True`")
-        ('Try `flipped=True`', 'Leave out `flipped=True`')
-        """
-        flipped, *rest = options.split()
-        if not (self.flipped and flipped == "`flipped=True`"):
-            return f"Try {options}"
-        return f"Leave out {flipped}" + (f", and try {' '.join(rest)}" if rest else "")
-
-
 def is_doubtful(verdict: str, evidence: Evidence) -> bool:
     """Whether a scan fits nowhere, or several places not well.
 
@@ -127,7 +57,7 @@ def is_doubtful(verdict: str, evidence: Evidence) -> bool:
 
 def doubts(
     features: MapFeatures, scans: ScanSet, said: Said, options: Options, given: Given | None = None
-) -> list[Doubt]:
+) -> list[Cause]:
     """Say what most likely keeps most of some scans from being placed, and what mends it.
 
     Causes are tried in the order of how much they explain: a calibration that is wrong, units that
@@ -148,7 +78,7 @@ def doubts(
 
     Returns
     -------
-    list of Doubt
+    list of Cause
         At most one; none if at least half of the scans fit, unless they do so as :func:`bent` says.
     """
     given, bent_ = given or Given(), bent(said, options.shared, features.grid.resolution)
@@ -169,25 +99,20 @@ def doubts(
     if found := trial.units():
         return [found]
     if 2 * counts["invalid"] > len(scans):
-        few, why = few_readings(trial.scans.scans), why_invalid(trial.scans.scans)
-        if few.endswith("?"):
-            why = "Look at range_min and range_max of the file"
-        which = "this scan has" if trial.one else "most scans have"
-        text = f"{which} too few readings to be placed: {few}{'' if few[-1] == '?' else '.'} {why}"
-        return [Doubt("few", text, f"too few readings: {why}")]
+        return [too_few(trial.scans.scans, one=trial.one)]
     if looks_swapped(features.grid):
-        return [Doubt("swapped", SWAPPED, "black and white of the map look swapped: `negate=True`")]
+        return [cause("swapped")]
     found = trial.prior() or trial.mirrored() or trial.scale()
     if found or bent_:
         return [found] if found else bent_
     if looks_drawn(features.grid):
-        return [Doubt("plan", f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")]
+        return [cause("plan")]
     return [trial.elsewhere()] if 2 * counts["no-match"] > len(scans) else []
 
 
 def mirrored(
     features: MapFeatures, scans: ScanSet, said: Said, options: Options, given: Given | None = None
-) -> Doubt | None:
+) -> Cause | None:
     """Say that scans which do not fit do so if left and right are swapped.
 
     A mirrored sensor fits a corridor, where both sides are alike, though walls seem to be gone.
@@ -244,7 +169,7 @@ class _Trial:
                 return []
         return found if 2 * sum(a.verdict == "unique" for a in found) > len(found) else []
 
-    def calibration(self, *, is_bent: bool) -> Doubt | None:
+    def calibration(self, *, is_bent: bool) -> Cause | None:
         """The scans fit far better without what was calibrated for the map.
 
         If most of them fit, but only with another error than the one that was calibrated
@@ -268,10 +193,12 @@ class _Trial:
         changed = [key for key in keys if self.given.calibrated(used, [key])]
         alone = (key for key in changed if len(changed) > 1 and helps([key]))
         wrong = [key] if (key := next(alone, "")) else changed
-        text = f"{self.fits} this map far better without {self.given.calibrated(used, wrong)}"
-        return Doubt("calibration", text, f"fits far better without {self.given.calibration}")
+        return cause(
+            "calibration", fits=self.fits, than="without", file=self.given.calibration,
+            calibrated=self.given.calibrated(used, wrong),
+        )  # fmt: skip
 
-    def units(self) -> Doubt | None:
+    def units(self) -> Cause | None:
         """Half of the ranges are longer than rooms are, or than the map: in which unit they fit."""
         ranges = np.concatenate([scan.ranges for scan in self.scans.scans[:100]])
         ranges = ranges[np.isfinite(ranges) & (ranges > 0)]
@@ -284,13 +211,12 @@ class _Trial:
         unit = next(fitting, likely)
         if not unit:
             return None
-        asked = f"`range_scale={UNITS[unit] * self.given.range_scale:g}`"
         if not likely:
             beyond = f", but the map is {longest:.3g} m from corner to corner"
-        text = f"half of the ranges are above {middle:.4g} m{beyond}: are they {unit}? Try {asked}"
-        return Doubt("units", text, f"{unit}? {asked}", asked)
+        factor = UNITS[unit] * self.given.range_scale
+        return cause("units", unit=unit, middle=middle, beyond=beyond, factor=factor)
 
-    def prior(self) -> Doubt | None:
+    def prior(self) -> Cause | None:
         """The scans fit elsewhere, at poses that what was given leaves out."""
         names = [f"`{name}`" for name in self.options.prior.about]
         if not names or not (found := self.unique(prior=Prior())):
@@ -298,27 +224,18 @@ class _Trial:
         asked = " and ".join(names)
         pose = found[0].pose
         assert pose is not None
-        at = f"x {pose.x:.2f} m, y {pose.y:.2f} m, theta {math.degrees(pose.theta):.0f} degrees"
+        at = place_words(pose)
         where = f"at {at}" if self.one else f"at one place each, the first at {at}"
         leave, right = ("leaves", "is it") if len(names) == 1 else ("leave", "are they")
-        text = f"the best fit, {where}, lies outside {asked}: {right} right?"
-        return Doubt("prior", text, f"fits where {asked} {leave} out")
+        return cause("prior", where=where, asked=asked, right=right, leave=leave)
 
-    def mirrored(self) -> Doubt | None:
+    def mirrored(self) -> Cause | None:
         """The scans fit if left and right are swapped."""
         if not self.unique(lambda scan: scan.flipped, most=True):
             return None
-        why = "is the sensor upside down, or the map's image mirrored?"
-        what = f"{self.fits} at one place if mirrored: {why}"
-        if self.given.flipped:
-            leave = "Leave out `flipped=True`"
-            return Doubt(
-                "mirrored", f"{what} {leave}", "fits if mirrored: leave out `flipped=True`"
-            )
-        asked = "`flipped=True`"
-        return Doubt("mirrored", f"{what} Try {asked}", f"fits if mirrored: {asked}", asked)
+        return cause("mirrored", self.given, fits=self.fits)
 
-    def scale(self) -> Doubt | None:
+    def scale(self) -> Cause | None:
         """The scans fit in other units, or the map has another resolution."""
         resolution = self.features.grid.resolution
         for factor in _FACTORS:
@@ -326,30 +243,20 @@ class _Trial:
                 continue
             unit = next((name for name, value in UNITS.items() if value == factor), None)
             why = f"are they {unit}?" if unit else "is the map's resolution right?"
-            asked = f"`range_scale={factor * self.given.range_scale:g}`"
-            cells = f", or correct the map's resolution to {resolution / factor:g} m"
-            fits = f"{self.fits} at one place if ranges are multiplied by {factor:g}"
-            text = f"{fits}: {why} Try {asked}{'' if unit else cells}"
-            return Doubt("scale", text, f"fits with ranges x {factor:g}: {why}", asked)
+            cells = (
+                "" if unit else f", or correct the map's resolution to {resolution / factor:g} m"
+            )
+            asked = factor * self.given.range_scale
+            return cause("scale", fits=self.fits, times=factor, why=why, factor=asked, cells=cells)
         return None
 
-    def elsewhere(self) -> Doubt:
+    def elsewhere(self) -> Cause:
         """Nothing helps: an old map if the scans agree about where they are, else another one."""
         none = "this scan does" if self.one else "most scans do"
         if (share := self._agreed()) is not None:
-            text = (
-                f"{none} not fit this map well, but they agree about the way between them, and "
-                f"{100 * share:.0f} % of their rays fit there: the map may be old. "
-                f"imgloc map changes MAP SCANS shows where; {_LOOK}"
-            )
-            return Doubt("old", text, OLD, found=False)
+            return cause("old", none=none, share=share)
         names = " and ".join(f"`{name}`" for name in self.options.prior.about)
-        also = f", with {names} or without" if names else ""
-        text = (
-            f"{none} not fit this map{also}: is it the map of this place? imgloc which FOLDER "
-            f"SCANS compares the maps of a folder; {_LOOK}"
-        )
-        return Doubt("map", text, "another map? see imgloc which, imgloc map check", found=False)
+        return cause("map", none=none, also=f", with {names} or without" if names else "")
 
     def _agreed(self) -> float | None:
         """Share of the rays that fit, if the best poses of two scans lie as the odometry has them.
@@ -377,7 +284,7 @@ class _Trial:
         return None
 
 
-def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
+def bent(said: Said, known: Shared, resolution: float) -> list[Cause]:
     """Say that most scans fit a map only with an error that all readings share, and what helps.
 
     The list is empty if fewer than half of the scans do, or if the error is `known` already. The
@@ -399,13 +306,7 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     thinner = [e.thinner for e in placed if e.thinner > 0 and known.thinner == 0 and not e.bent]
     if 2 * len(drawn) > count:
         less, off = np.median(drawn, axis=0)
-        text = (
-            "the walls of this map are drawn thick, as on maps that no laser made. imgloc took "
-            f"them to be {less:.2f} m thinner on each side, and each piece of them to stand "
-            f"{off:.2f} m off. On such a map one scan is rarely enough. imgloc track finds the "
-            "robot over some metres; a map of the robot's own scans gives surer poses"
-        )
-        return [Doubt("thick", text, "thick walls: imgloc track")]
+        return [cause("thick", less=less, off=off)]
     if 2 * len(scales) > count:
         factor = float(np.median(scales))
         cells = f"are its cells of {resolution / factor:.4g} m? Then correct its resolution"
@@ -415,10 +316,11 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
         found = short = f"walls that are {np.median(thinner):.2f} m thinner on each side"
     else:
         return []
-    return [_bent("this scan fits" if count == 1 else "most scans fit", found, short)]
+    fits = "this scan fits" if count == 1 else "most scans fit"
+    return [cause("bent", fits=fits, found=found, brief=short)]
 
 
-def tilted(said: Said) -> list[Doubt]:
+def tilted(said: Said) -> list[Cause]:
     """Say that most scans fit only without readings that end on the floor, and what helps.
 
     Examples
@@ -433,17 +335,13 @@ def tilted(said: Said) -> list[Doubt]:
     metres, share = np.median([(floor.distance, floor.share) for floor in seen], axis=0)
     line = sum(math.isnan(floor.direction) for floor in seen) <= len(seen) / 2
     shape = "a line" if line else "a circle"
-    text = (
-        f"{'this scan fits' if len(said) == 1 else 'most scans fit'} this map only without the "
-        f"{100 * share:.0f} % of the rays that end on {shape} {metres:.1f} m away, which is on no "
-        "map: is the laser tilted, so that it meets the floor there? Level it, or cut its ranges"
-    )
-    return [Doubt("floor", text, f"{shape} {metres:.1f} m away is on no map: the floor?")]
+    fits = "this scan fits" if len(said) == 1 else "most scans fit"
+    return [cause("floor", fits=fits, share=share, shape=shape, metres=metres)]
 
 
 def bent_walls(
     found: Shared, known: Shared, resolution: float, given: Given | None = None
-) -> Doubt | None:
+) -> Cause | None:
     """Say that a filter took the scans of a log for having another error than was `known`.
 
     If that is from a calibration file, the file is the cause.
@@ -462,26 +360,29 @@ def bent_walls(
         parts.append(f"walls that are bent by {found.bent:.2f} m")
     if not parts:
         return None
+    together = " and ".join(parts)
     changed = [key for key, value in vars(known).items() if value != vars(found)[key]]
     if given is not None and (wrong := given.calibrated(known, changed)):
-        text = f"most scans fit this map far better with {' and '.join(parts)} than with {wrong}"
-        return Doubt("calibration", text, f"fits far better without {given.calibration}")
+        than, file = f"with {together} than with", given.calibration
+        return cause("calibration", fits="most scans fit", than=than, calibrated=wrong, file=file)
     if found.bent != known.bent:
-        text = (
-            f"most scans fit this map far better with {' and '.join(parts)}, so imgloc allowed for "
-            "that; a map drawn from the robot's own scans gives surer poses"
-        )
-        return Doubt("bent", text, "the walls of the map are bent")
+        return cause("bent/walls", found=together)
     short = parts[0].replace("their ranges multiplied by", "ranges x")
-    return _bent("most scans fit", " and ".join(parts), short)
+    return cause("bent", fits="most scans fit", found=together, brief=short)
 
 
-def _bent(which: str, found: str, short: str) -> Doubt:
-    text = (
-        f"{which} this map far better with {found}. imgloc calibrate MAP --scans FILE finds "
-        "it once for all from five scans or more, which is faster and surer"
-    )
-    return Doubt("bent", text, f"fits far better with {short}: imgloc calibrate")
+def place_words(pose: Pose2D) -> str:
+    """A pose in words: metres and degrees."""
+    return f"x {pose.x:.2f} m, y {pose.y:.2f} m, theta {math.degrees(pose.theta):.0f} degrees"
+
+
+def too_few(scans: Sequence[LaserScan], *, one: bool = False) -> Cause:
+    """The cause of scans that have too few readings, with what most of these are instead."""
+    counts, why = few_readings(scans), why_invalid(scans)
+    if counts.endswith("?"):
+        why = "Look at range_min and range_max of the file"
+    counts += "" if counts.endswith("?") else "."
+    return cause("few", which="this scan has" if one else "most scans have", counts=counts, why=why)
 
 
 def unit_of(middle: float) -> str:

@@ -28,7 +28,7 @@ from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import one_per_place, scan_points, scan_xy
+from imgloc.features.scanpoints import Readings, one_per_place, scan_points, scan_xy
 from imgloc.geometry import in_grid_frame, poses_of, transform_points, uniform_thetas, wrap
 from imgloc.likelihoods.correlate import correlate
 from imgloc.likelihoods.stacks import likelihood
@@ -49,7 +49,7 @@ from imgloc.numbers import number
 from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
 from imgloc.search.priors import around, pyramid_levels
 from imgloc.search.proposals import cast_votes, vote_cell
-from imgloc.search.rescore import rescore
+from imgloc.search.rescore import score_poses
 from imgloc.search.weigh import settle
 
 #: What a ray can be, in the order in which they are counted.
@@ -182,8 +182,9 @@ def explain_rays(
 ) -> RayFit:
     """Say what each ray of a scan says about a pose of the sensor, grid frame.
 
-    The questions about surface and wall are those of :func:`~imgloc.search.rescore.rescore`, with
-    the same `model`; that of the normals is not part of its score.
+    The questions about surface and wall are those of
+    :func:`~imgloc.search.rescore.score_poses`, with the same `model`. That of the normals is not
+    part of its score.
 
     Examples
     --------
@@ -207,15 +208,18 @@ def explain_rays(
     if len(used) == 0:
         return RayFit(kind, end, wall)
     end[used] = transform_points(pose, scan_xy(scan)[used])
-    field, walls = features.field, features.walls
     ranges, angles = scan.ranges[used], scan.angles[used]
     here = np.array([[pose.x, pose.y, pose.theta]])
-    evidence = rescore(here, ranges, angles, field, walls, model)
+    evidence = score_poses(features, Readings(ranges, angles), here, model)
     on_surface, crossed = evidence.on_surface[0], evidence.crossed[0]
     kind[used] = np.where(on_surface, "agrees", "unexplained")
     kind[used[crossed]] = "visibility"
     wall[used[crossed]] = cast_rays(
-        walls, here[0, :2], pose.theta + angles[crossed], ranges[crossed], field.resolution
+        features.walls,
+        here[0, :2],
+        pose.theta + angles[crossed],
+        ranges[crossed],
+        features.field.resolution,
     )
     asked = np.flatnonzero(on_surface & ~crossed)
     points = scan_points(scan.ranges, scan.angles, scan.valid).select(asked)
@@ -225,7 +229,7 @@ def explain_rays(
         wrap(pose.theta + points.alpha),
         np.where(points.valid, points.sigma_alpha, np.inf),
         features.surface,
-        reach=2 * max(model.sigmas) + 2 * field.resolution,
+        reach=2 * max(model.sigmas) + 2 * features.field.resolution,
     )
     kind[used[asked[~faces]]] = "orientation"
     return RayFit(kind, end, wall)

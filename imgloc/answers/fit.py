@@ -35,6 +35,7 @@ from imgloc.search.weigh import explained_rays
 
 _WIDTHS = number("fit.settle")
 _AROUND, _APART = number("fit.around"), number("fit.apart")
+_CLOSER = number("fit.closer")  # part of these for a second look, around the best of the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +107,15 @@ def fit_at(
     at = np.array([[local.x, local.y, local.theta]])
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     if settle and len(readings):
-        around = refine(at + _starts(), readings.xy, features.field, sigmas=_WIDTHS)
-        some = np.concatenate((at, around))
-        score = score_readings(features, readings, some, options)
-        at = some[score.argmax()][None]
+        for part, widths in ((1, _WIDTHS), (_CLOSER, _WIDTHS[-1:])):
+            around = refine(at + _starts() / part, readings.xy, features.field, sigmas=widths)
+            some = np.concatenate((at, around))
+            score = score_readings(features, readings, some, options.model)
+            at = some[score.argmax()][None]
         pose = Pose2D(*transform_poses(grid.origin, at)[0])
     total, explained = 0.0, float("nan")
     if len(readings):
-        total = float(score_readings(features, readings, at, options)[0])
+        total = float(score_readings(features, readings, at, options.model)[0])
         explained = explained_rays(features, scan, at, options, Shared())
     rays = explain_rays(Pose2D(*at[0]), scan, features, options.model)
     ends, distance = transform_points(grid.origin, rays.end), np.full(len(rays.end), np.nan)

@@ -13,27 +13,17 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, is_dataclass
-from math import pi, radians
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
 
 import typer
 from typer.core import TyperCommand
 
+from imgloc import ranges
 from imgloc.cli.console import configure
 from imgloc.cli.typed import as_typed
 from imgloc.errors import ConfigError
-from imgloc.ranges import (
-    Declared,
-    OneOf,
-    Option,
-    Within,
-    check_of,
-    declaration,
-    declared,
-    expected_of,
-    help_of,
-)
+from imgloc.ranges import Declared, OneOf, Option, declaration, declared, help_of
 from imgloc.texts import WITH_COMMAS
 
 #: Names that options had, and what they are called now: the first one that the command has.
@@ -65,6 +55,7 @@ _PANELS = {
     "Options": "Search", "Known": "Known of the pose", "Drawn": "Search", "Mounting": "Scans",
     "Logs": "Scans", "Chosen": "Scans", "ScanFiles": "Scans", "MapImages": "Map image",
     "Resources": "Machine", "Kept": "Machine", "Sensor": "Simulated laser", "Followed": "Filter",
+    "Settings": "Options",
 }  # fmt: skip
 Given = frozenset[str]  #: names of the options that were typed, as they are written
 Typed = dict[str, list[str]]  #: their words, name and values, as another command takes them
@@ -202,47 +193,19 @@ def _words_of(field: Declared, text: Any) -> list[str]:
 
 def value_of(field: Declared, text: Any) -> Any:
     """The value of an option that was typed; a ConfigError, by its name, if it is none."""
+    option = field.option
     try:
-        return _value_of(field, text)
-    except ConfigError as error:
-        text = re.sub(r"^[A-Z]\w+\.\w+: ", "", str(error))  # of a dataclass made of one option
-        raise ConfigError(f"{field.flag}: {text}") from None
-
-
-def _value_of(field: Declared, text: Any) -> Any:
-    option, kind, limit = field.option, field.kind, field.limit
-    if isinstance(text, list):
+        if not isinstance(text, list):
+            return text if isinstance(text, bool) else ranges.value_of(field, text)
         if option is not None and option.joined:
-            return ",".join(text)
-        words: Any = map(Path, text) if get_args(kind) == (Path,) else text
-        return [option.parse(one) if option and option.parse else one for one in words]
-    text = Path(text) if kind is Path else text
-    value, scale = text, (180 / pi, "degrees") if field.in_degrees else ()
-    if option is not None and option.parse is not None:
-        try:
-            value = option.parse(text)
-        except ConfigError as error:
-            if str(error).endswith(WITH_COMMAS) and option.metavar:
-                raise ConfigError(f"{error}: {option.metavar}") from None
-            raise
-    elif kind in (int, float):
-        with contextlib.suppress(ValueError):
-            value = radians(float(text)) if field.in_degrees else kind(text)
-    check = check_of(field.hint)
-    refused = None if check is None else check(value)
-    if refused is None:
-        return value
-    at, expected = refused
-    if isinstance(limit, Within):
-        expected = expected_of(kind, limit, *scale)
-    got = repr(text) if isinstance(value, str) else _at(field, at, value) if at else text
-    raise ConfigError(f"got {got}, expected {expected}")
-
-
-def _at(field: Declared, at: str, value: Any) -> str:
-    """One of several numbers of a value, by what stands for it in the help."""
-    k, letters = int(at.strip("[]")), re.findall(r"[A-Z]\w*", field.metavar or "")
-    return f"{letters[k] if k < len(letters) else at} {value[k]:g}"
+            return ranges.value_of(field, ",".join(text))
+        items = map(Path, text) if get_args(field.kind) == (Path,) else text
+        return [option.parse(one) if option and option.parse else one for one in items]
+    except ConfigError as error:
+        said = re.sub(r"^[A-Z]\w+\.\w+: ", "", str(error))  # of a dataclass made of one option
+        if said.endswith(WITH_COMMAS) and option is not None and option.metavar:
+            said += f": {option.metavar}"
+        raise ConfigError(f"{field.flag}: {said}") from None
 
 
 def _part(parameter: inspect.Parameter, hint: Any) -> _Part:

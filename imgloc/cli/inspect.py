@@ -17,7 +17,8 @@ from imgloc.options import Logs, MemoryBudget, Mounting, Options
 from imgloc.ranges import declared, option
 
 if TYPE_CHECKING:
-    from imgloc.answers.logcheck import Finding, LogReport
+    from imgloc.answers.causes import Cause
+    from imgloc.answers.logcheck import LogReport
     from imgloc.io.kinds import Kind
     from imgloc.runs.opening import Desk, MapFiles
 
@@ -128,7 +129,7 @@ class _Look:
 
     def at(self, path: Path, *, as_json: bool, picture: Path | None, force: bool) -> None:
         """Look at a log, print what is in it, draw it."""
-        from imgloc.answers.logcheck import as_given, check_log, on_map
+        from imgloc.answers.logcheck import check_log, on_map
         from imgloc.cli import inputs
         from imgloc.io.calibration import calibrated
         from imgloc.io.kinds import kinds_of
@@ -140,7 +141,7 @@ class _Look:
         with _heard(inputs.name_of(path)) as notes:
             how = inputs.as_recorded(logs, mounting=self.mounting)
             scans = self.desk.scans(path, how).scans
-        report = as_given(check_log(scans, [*notes, *more]), how.given)
+        report = check_log(scans, [*notes, *more], how.given)
         if self.map is not None:
             features = self.desk.features(self.map, self.how, Options(), scans=scans.scans)
             options = Options(memory_budget=self.desk.budget)
@@ -155,9 +156,9 @@ class _Look:
             draw_log(about[0], report, scans[report.scan]).save(picture, force=force)
             LOG.info("wrote %s", display(picture))
 
-    def _topic(self, form: str, kinds: "Sequence[Kind]") -> "tuple[Logs, list[Finding]]":
+    def _topic(self, form: str, kinds: "Sequence[Kind]") -> "tuple[Logs, list[Cause]]":
         """The laser that is looked at, and a word about the others."""
-        from imgloc.answers.logcheck import Finding
+        from imgloc.answers.causes import cause
         from imgloc.io.kinds import lasers_in
 
         lasers = lasers_in(form, list(kinds))
@@ -167,8 +168,8 @@ class _Look:
         first = next((k.name for k in lasers if k.name in ("/scan", "FLASER")), lasers[0].name)
         if first == "/scan":  # the others are often made of it
             return self.logs, []
-        text = f"{len(lasers)} lasers: this is {first}; `topic={names}` follows all of them"
-        return replace(self.logs, topic=first), [Finding("two-lasers", text, serious=False)]
+        found = cause("two-lasers/topics", count=len(lasers), first=first, names=names)
+        return replace(self.logs, topic=first), [found]
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
         """The command to go on with: it goes on from the options that were typed."""
@@ -193,17 +194,17 @@ def _quoted(typed: Typed) -> list[str]:
 
 
 @contextlib.contextmanager
-def _heard(name: str) -> "Iterator[list[Finding]]":
+def _heard(name: str) -> "Iterator[list[Cause]]":
     """What readers of the file `name` warn of, as findings; it is not printed besides."""
-    from imgloc.answers.logcheck import Finding
+    from imgloc.answers.causes import Cause
 
-    notes = list[Finding]()
+    notes = list[Cause]()
 
     def heard(record: logging.LogRecord) -> bool:
         if record.levelno < logging.WARNING:
             return True
         text = record.getMessage().removeprefix(f"{name}: ")
-        notes.append(Finding(getattr(record, "code", "reader"), text, serious=False))
+        notes.append(Cause(getattr(record, "code", "reader"), text, serious=False))
         return False
 
     with listening(heard):

@@ -17,7 +17,7 @@ from imgloc.options import Cell, Chosen, Drawn, Known, Logs, Mounting, Options
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
-    from imgloc.answers.diagnose import Doubt
+    from imgloc.answers.causes import Cause
     from imgloc.model import Evidence, LaserScan, Pose2D
     from imgloc.runs.localize import Located, Locating
 
@@ -139,7 +139,7 @@ class _Sink:
         self.said: list[tuple[str, Evidence]] = []  # of each scan
         self.sure: list[tuple[LaserScan, Pose2D]] = []  # unique ones, in metres of the map
         self.errors: list[tuple[float, float]] = []  # metres, radians
-        self.hints: list[Doubt] = []  # about the last scan
+        self.hints: list[Cause] = []  # about the last scan
 
     def numbers_of(self, run: "Locating") -> Sequence[int]:
         """Those of the scans of a file."""
@@ -198,7 +198,7 @@ class _Sink:
 
         reason = explain(run.features, answer.scan, answer.of, run.options)
         title = f"{Path(run.taken.name).name}, scan {answer.index}, on {run.map_name}"
-        hints = [as_options(hint.text) for hint in self.hints]
+        hints = [as_options(hint.said) for hint in self.hints]
         html = render_explanation(reason, title, truth=answer.truth, hints=hints)
         write_text_atomic(path, html, force=self.force)
 
@@ -225,7 +225,6 @@ class _Sink:
     def end(self) -> None:
         """Say how it went, and what most likely keeps scans from fitting."""
         from imgloc.cli.inputs import aged_words
-        from imgloc.io.maps import SWAPPED
         from imgloc.io.scanset import ScanSet
         from imgloc.output.tables import run_words
 
@@ -248,8 +247,8 @@ class _Sink:
             found = first.mirrored(scans, self.said)
             self.hints = [] if found is None else [found]
         for hint in self.hints:
-            if hint.text != SWAPPED:  # is said when the map is read
-                LOG.warning("%s", hint.text)
+            if hint.code != "swapped":  # is said when the map is read
+                LOG.warning("%s", hint.said)
         if aged and not self.hints:
             LOG.warning("%s", aged)
         if not self.hints and 2 * verdicts.count("unique") < len(verdicts):

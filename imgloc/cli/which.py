@@ -102,7 +102,7 @@ def which(
             image = draw(grid, answer.fits[answer.best], answer.scan, title=title)
             image.save(targets[answer.index], force=force)
     for hint in found.doubts(answers):
-        LOG.warning("%s", hint.text)
+        LOG.warning("%s", hint.said)
     if found.failed:
         raise typer.Exit(FAILED_ROWS)
 

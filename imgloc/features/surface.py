@@ -6,8 +6,8 @@ are two surfaces with opposite normals, however thin it is, which Fig. 4 of the 
 
 import itertools
 
+import cv2
 import numpy as np
-from skimage import measure
 
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
@@ -23,8 +23,12 @@ _CORNER = 0.45
 # Free space begins at most this far (cells) in front of a surface: maps made by counting hits
 # have single unknown cells between a wall and the room.
 _REACH = 1.5
-# A map is worked on in bands of rows with so many sides of walls, or so many cells: find_contours
-# keeps hundreds of bytes for each vertex. A fit looks into the rows around a band.
+# The direction (0 to 7, 45 degrees each) of the neighbour [dx, dy]; a cell alone came from nowhere,
+# and is gone around from a corner. And from a cell's middle to its sides: directions 0, 2, 4, 6.
+_COMPASS = np.array([[1, 2, 6], [0, 1, 7], [4, 3, 5]])
+_SIDE = np.array([(0.5, 0.0), (0.0, 0.5), (-0.5, 0.0), (0.0, -0.5)])
+# A map is worked on in bands of rows with so many sides of walls, or so many cells: the fit keeps
+# hundreds of bytes for each vertex. A fit looks into the rows around a band.
 _SIDES, _CELLS = 1 << 17, 1 << 24
 _HALO = 2 * max(_WINDOWS)
 
@@ -55,7 +59,7 @@ def surface_points(
 
     Notes
     -----
-    The polygons of :func:`skimage.measure.find_contours` are resampled to one point per cell, moved
+    The polygons of :func:`outlines` are resampled to one point per cell, moved
     onto the line fitted to the widest window around it that is a digital straight line. Where none
     is, the windows that end at the point are tried too: a corner keeps the normals of its two walls
     instead of their mean (the filter of Kuwahara, on a curve).
@@ -123,18 +127,54 @@ def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
         Midpoints (x, y) of the sides between an occupied and another cell, in cells, ``[0, 0]``
         from 0 to 1, and their number in each polygon, whose first is its last, too.
 
+    Notes
+    -----
+    The same to the bit as :func:`skimage.measure.find_contours` at 0.5 (``fully_connected="high"``,
+    ``positive_orientation="high"``), eight times as fast, and other threads run meanwhile.
+
     Examples
     --------
     >>> vertices, size = outlines(np.array([[False, True]]))
     >>> vertices.tolist(), size.tolist()
     ([[1.5, 1.0], [2.0, 0.5], [1.5, 0.0], [1.0, 0.5], [1.5, 1.0]], [5])
     """
-    found = measure.find_contours(
-        np.pad(occupied, 1).astype(np.float64), 0.5,
-        fully_connected="high", positive_orientation="high",
-    )  # fmt: skip
-    vertices = np.concatenate([np.zeros((0, 2)), *found])[:, ::-1] - 0.5
-    return vertices, np.array([len(polygon) for polygon in found], np.int64)
+    contours, _ = cv2.findContours(
+        np.pad(occupied, 1).view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE
+    )
+    if not contours:
+        return np.zeros((0, 2)), np.zeros(0, np.int64)
+    size = np.array([len(contour) for contour in contours])
+    cell = np.concatenate(contours)[:, 0] - 1
+    following = _following(size)
+    ahead = cell[following] - cell
+    back = np.empty_like(ahead)
+    back[following] = -ahead
+    # Around each cell, from the cell before to the cell after it, lie cells that are not occupied:
+    # a side of the wall is there where such a neighbour is one of the four.
+    came, goes = _COMPASS[tuple(back.T)], _COMPASS[tuple(ahead.T)]
+    turn = (came[:, None] - np.arange(1, 8)) % 8
+    side = (np.arange(7) < (came - goes - 1)[:, None] % 8) & (turn % 2 == 0)
+    at = np.nonzero(side)[0]
+    vertices = cell[at] + 0.5 + _SIDE[turn[side] // 2]
+    size = np.add.reduceat(side.sum(axis=1), np.cumsum(size) - size)
+    # Polygons and their first vertices in the order of find_contours: by the corners of cells that
+    # each step goes around, the first one of a polygon and the last.
+    first, following = np.cumsum(size) - size, _following(size)
+    corner = np.rint((vertices + vertices[following]) / 2) @ [1, occupied.shape[1] + 1]
+    start = np.flatnonzero(corner == np.repeat(np.maximum.reduceat(corner, first), size)) - first
+    order = np.argsort(np.minimum.reduceat(corner, first))
+    size, start, first = size[order], start[order], first[order]
+    rank = np.arange(np.sum(size + 1)) - np.repeat(np.cumsum(size + 1) - size - 1, size + 1)
+    rank = (rank + np.repeat(start, size + 1)) % np.repeat(size, size + 1)
+    return vertices[np.repeat(first, size + 1) + rank], size + 1
+
+
+def _following(size: IntArray) -> IntArray:
+    """Give the index of the next one in closed polygons of so many vertices, end to end."""
+    last = np.cumsum(size) - 1
+    following = np.arange(1, size.sum() + 1)
+    following[last] = last - size + 1
+    return following
 
 
 def _resampled(vertices: FloatArray, size: IntArray) -> tuple[FloatArray, IntArray, IntArray]:

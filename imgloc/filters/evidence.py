@@ -9,7 +9,7 @@ too thick are allowed for by the features that a filter takes.
 """
 
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,12 +20,11 @@ from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
 from imgloc.pipeline import find_modes, find_modes_by_steps
-from imgloc.search.background import best_room
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
 from imgloc.search.refine import endpoints, refine
-from imgloc.search.rescore import score_readings
-from imgloc.search.weigh import covariances_there
+from imgloc.search.rescore import score_poses, score_readings
+from imgloc.search.weigh import covariances_there, evidence_of
 
 _SETTLE = number("evidence.settle")  # widths of the kernel, metres
 _SETTLE_SCALED = number("evidence.settle_scaled")  # the same where the scale is free
@@ -41,10 +40,6 @@ _CLOSER = number("evidence.closer")  # poses of a first look that are refined
 _UNKNOWN = number("evidence.unknown")
 # Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")
-# Temperature of 100 readings that fit, and its growth per nat of misfit.
-_TEMPERATURE, _STRAIN = number("evidence.temperature")
-# Nats per reading below a perfect fit that a scan reaches by chance anywhere.
-_CHANCE: float = number("evidence.chance")
 # Widths of the kernel that picks poses, metres: for the first look, and for the last one.
 _WIDTHS = number("evidence.widths")
 
@@ -94,7 +89,7 @@ class Sight:
     log_likelihood: FloatArray  #: (C,) nats, divided by the temperature of the scan
     covariance: FloatArray  #: (C, 3, 3) covariance of each pose from the readings' noise
     misfit: FloatArray  #: (C,) nats per reading that each pose lacks against a perfect fit
-    gained: float  #: tempered nats by which the best pose beats a building on no map
+    gained: float  #: nats for the best pose against a building on no map: `Evidence.net`
 
 
 def sight(
@@ -109,10 +104,11 @@ def sight(
     `spread` (C, 3, 3) has second moments in m², m rad and rad² that widen the covariances.
     """
     seen, at = view.readings, view.sensor(poses)
-    score = score_readings(features, seen, at, options)
-    temperature, gained = by_readings(features, seen, score, options)
-    log, misfit = score / temperature, options.model.best - score / len(seen)
-    order = np.argsort(-score, kind="stable")
+    scores = score_poses(features, seen, at, options.model)
+    fit = evidence_of(features, seen, scores, options)
+    log = scores.things / fit.temperature.value
+    misfit = options.model.best - scores.log_likelihood / len(seen)
+    order = np.argsort(-log, kind="stable")
     listed = order[: options.listed(masses(log[order], 1.0))]
     covariance = np.tile(np.diag(_UNKNOWN) ** 2, (len(poses), 1, 1))
     wider = None if spread is None else spread[listed]
@@ -120,23 +116,7 @@ def sight(
     lever = np.tile(np.eye(3), (len(poses), 1, 1))  # if the sensor turns, the robot moves
     lever[:, 0, 2], lever[:, 1, 2] = (at - poses)[:, 1], (poses - at)[:, 0]
     covariance = lever @ covariance @ lever.transpose(0, 2, 1)
-    return Sight(poses, log, covariance, misfit, gained)
-
-
-def by_readings(
-    features: MapFeatures, seen: Readings, score: FloatArray, options: Options
-) -> tuple[float, float]:
-    """The temperature of scores (C,), and tempered nats by which the best beats an empty room.
-
-    Along the way each reading counts by itself: a component that has drifted from its place fits no
-    piece of the scan, and is at its place nevertheless.
-    """
-    n, model, best = len(seen), options.model, float(score.max())
-    trust = replace(options.trust, temperature=_TEMPERATURE, strain=_STRAIN)
-    scale = trust.temperature_at(model.best - best / n, n, features.grid.resolution)
-    temperature = scale.value
-    room = max(float(best_room(seen.xy, model).mean()), model.best - _CHANCE)
-    return temperature, (best - n * room) / temperature
+    return Sight(poses, log, covariance, misfit, fit.net)
 
 
 def settled(
@@ -236,7 +216,7 @@ def _places(found: Modes) -> Places:
 
 def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
     """Least misfit of poses (C, 3) of the robot without moving them, nats per reading."""
-    score = score_readings(features, view.readings, view.sensor(poses), options)
+    score = score_readings(features, view.readings, view.sensor(poses), options.model)
     return options.model.best - float(score.max()) / len(view.readings)
 
 
@@ -253,6 +233,6 @@ def stretched(
     poses = np.column_stack((same, _SCALES))
     poses = refine(poses, view.readings.xy, features.field, sigmas=_SETTLE_SCALED)
     poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
-    score = score_readings(features, view.readings, poses, options)
+    score = score_readings(features, view.readings, poses, options.model)
     best = 1 + int(np.argmax(score[1:]))
     return float(poses[best, 3]), float(score[best] - score[0])

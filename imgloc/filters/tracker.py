@@ -39,13 +39,14 @@ from imgloc.options import (
     Count,
     Factor,
     Length,
+    LogOdds,
     Metres,
     Nats,
     Options,
     Radians,
     Share,
+    Shared,
     Step,
-    Trust,
 )
 from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
@@ -53,12 +54,6 @@ from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, wa
 from imgloc.search.hypotheses import masses, separated
 
 _SURE = number("tracker.sure")  # odds of being lost, at most
-_MAPPED: float = number(
-    "tracker.mapped"
-)  # log-odds that a scan was located, among the cases that trust was fitted to
-# Log-odds of being elsewhere by a single scan. A filter knows where the robot was, so a scan that
-# contradicts the map is no evidence for another floor.
-_ELSEWHERE = number("tracker.elsewhere")
 _MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
 _NOTHING = number("tracker.nothing")  # mass below which a component is dropped
 _RESET = number("tracker.reset")  # mass of new components from which a scan counts as a reset
@@ -144,6 +139,9 @@ class TrackerOptions(Checked):
     #: score on bent walls: they stop no reading, and all readings count alike, because scans of
     #: many places are weighed together
     bending: Bending = field(default_factory=lambda: Bending(*number("TrackerOptions.bending")))
+    #: temperature, strain and elsewhere of :class:`~imgloc.options.Trust` on bent walls, where
+    #: readings count, not things
+    readings: tuple[Factor, Factor, LogOdds, LogOdds, LogOdds] = number("TrackerOptions.readings")
     #: metres over which the share of the way is averaged along which scans agree with one place,
     #: and the least share with which a component is ``unique``. On the map of another building a
     #: place fits for some metres now and then.
@@ -223,7 +221,7 @@ class Tracker:
         self.how = how or TrackerOptions()
         options = options or Options()
         fused = replace(options.fused, bending=self.how.bending)
-        self.options = replace(options, top=1000, fused=fused)  # covariances of all
+        self.options = self._with(options.shared, replace(options, top=1000, fused=fused))
         self._given = self.options.shared.scale
         self.features = features.thinner(self.options.shared.thinner)
         self._find = find
@@ -237,6 +235,8 @@ class Tracker:
         self._gone = Way()
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._blinded = 0.0  # metres of that way until the last blind scan
+        # Radians out of the last scan's view, and radians turned at about the same place.
+        self._hidden, self._turned = 0.0, 0.0
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._lasers = Lasers(self.options.shared.usual)
         self._scales = list[tuple[float, float]]()
@@ -247,6 +247,16 @@ class Tracker:
         self._uncounted = 0.0  # metres that are in neither yet
         # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
         self._begun: tuple[FloatArray, FloatArray] | None = None
+
+    def _with(self, shared: Shared, options: Options) -> Options:
+        """The options with an error that all readings share, and the trust that goes with it."""
+        if not shared.bent:
+            return replace(options, shared=shared)
+        base, strain = self.how.readings[:2]
+        trust = replace(
+            options.trust, temperature=base, strain=strain, elsewhere=self.how.readings[2:]
+        )
+        return replace(options, shared=shared, trust=trust)
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
@@ -279,9 +289,15 @@ class Tracker:
             self._begun = move_gaussians(*self._begun, increment, noise, own)
         if self._searching is not None:
             self._searching.move(increment)
-        metres = float(gone[0])
+        metres, radians = gone.tolist()
         self._unsearched, self._uncounted = self._unsearched + metres, self._uncounted + metres
-        self._way, self._since = self._way + metres * known, self._since + metres
+        # A turn counts as way as far as it shows what was out of view at this place.
+        lever = self.how.fresh[0] / self.how.fresh[1]
+        self._turned = max(0.0, self._turned - metres / lever)
+        shown = min(radians, max(0.0, self._hidden - self._turned))
+        self._turned += radians
+        self._way += (metres + lever * shown) * known
+        self._since += metres
         if self._unique is not None:
             pose, ago = self._unique
             self._trusted += metres if ago == 0 else 0.0
@@ -399,6 +415,7 @@ class Tracker:
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
         laser, view = self._lasers.of(scan), view_of(scan, self.options)
+        self._hidden = 2 * np.pi - float(np.ptp(view.readings.angles))
         new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
@@ -445,6 +462,13 @@ class Tracker:
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
         self._tidy()
+        self._agree(view, laser)
+        self._judge_map(self._explains(laser))
+        self._remember()
+
+    def _agree(self, view: View, laser: Laser) -> None:
+        """Count the scans that agree with the best component, and learn from this one."""
+        how = self.how
         least = how.mass[self.options.shared.bent > 0]
         agrees = (self._mass[:1] >= least).any()
         enough = len(view.readings) >= how.agree[1]
@@ -457,8 +481,6 @@ class Tracker:
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
             if alone and not self.options.shared.bent:  # whose offsets look like a scale
                 self._stretch(view, fits=laser.last <= self.options.fused.strained)
-        self._judge_map(self._explains(laser))
-        self._remember()
 
     def _search(
         self, scan: LaserScan, view: View, *, strange: bool, at_once: bool = False
@@ -510,7 +532,7 @@ class Tracker:
         if judged == shared:
             return False
         self.features = self._drawn.thinner(judged.thinner)
-        self.options = replace(options, shared=judged)
+        self.options = self._with(judged, options)
         self._find, self._walls = None, []  # what replaces the search knows the old walls
         self._begin_again()
         return True
@@ -570,18 +592,10 @@ class Tracker:
             self.options = replace(self.options, shared=replace(shared, scale=scale))
             self._scales = []
 
-    @property
-    def _trust(self) -> Trust:
-        return replace(self.options.trust, elsewhere=_ELSEWHERE)
-
     def _doubt(self, gained: float) -> float:
-        """Nats by which a scan that gains `gained` nats is likelier at an unknown place.
-
-        They come from the trust in a single scan, without the prior odds of the cases to which that
-        trust was fitted.
-        """
-        elsewhere = self._trust.mass_elsewhere(gained, 1.0)
-        return float(np.log(elsewhere / (1 - elsewhere))) + _MAPPED
+        """Nats by which a scan that gains `gained` nats is likelier at an unknown place."""
+        elsewhere = self.options.trust.mass_elsewhere(gained, 1.0)
+        return float(np.log(elsewhere / (1 - elsewhere)))
 
     def _told(self, seen: Sight, first: int) -> float:
         """Odds, by a single scan, of the places from the index `first` on; at most exp(_MOST)."""
@@ -594,7 +608,7 @@ class Tracker:
             return 0.0
         share = masses(log[first:], 1.0).max()
         gained = seen.gained - float(log.max() - log[first:].max())
-        elsewhere = self._trust.mass_elsewhere(gained, float(share))
+        elsewhere = self.options.trust.mass_elsewhere(gained, float(share))
         return min(float(np.exp(_MOST)), (1 - elsewhere) / elsewhere)
 
     def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
@@ -650,7 +664,7 @@ class Tracker:
 
     def _bear(self, seen: Sight, first: int, relative: FloatArray) -> None:
         """Move the lost mass to the poses where the scan fits: those from the index `first` on."""
-        new, trust = np.arange(first, len(seen.poses)), self._trust
+        new, trust = np.arange(first, len(seen.poses)), self.options.trust
         if not len(new):
             return
         share = np.exp(relative[new])

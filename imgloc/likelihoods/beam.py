@@ -90,33 +90,14 @@ def beam(
     [2, 3]
     """
     distances = np.asarray(distances)
-    if distances.ndim != 3 or distances.dtype != np.uint16:
-        found = f"{distances.shape} {distances.dtype}"
-        raise ConfigError(f"distances must be a (n_psi, H, W) uint16 stack, got {found}")
+    rho, phi = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
+    _check(
+        distances, thetas, {"ranges": rho, "angles": phi, "valid": valid, "no_return": no_return}
+    )
     n_psi, k = len(distances), len(thetas)
-    if k < 1 or n_psi % k:
-        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
-    if not np.allclose(wrap(thetas - np.arange(k) * (2 * np.pi / k)), 0, atol=1e-9):
-        raise ConfigError("thetas must be 2 pi k / K for k = 0 .. K - 1")
     if threads < 1:
         raise ConfigError(f"threads must be at least 1, got {threads}")
-    rho, phi = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
-    if not (rho.ndim == 1 and rho.shape == phi.shape == np.shape(valid) == np.shape(no_return)):
-        raise ConfigError(
-            f"ranges {rho.shape}, angles {phi.shape}, valid {np.shape(valid)} and no_return "
-            f"{np.shape(no_return)} must be vectors of one length"
-        )
-    if not (sigma > 0 and sigma_theta >= 0 and span > 0):
-        raise ConfigError(
-            f"sigma {sigma} and span {span} must be positive, "
-            f"sigma_theta {sigma_theta} not negative"
-        )
-    if not (hit >= 0 and short >= 0 and hit + short < 1):
-        raise ConfigError(f"hit {hit} and short {short} must be shares with a sum below 1")
-    if not 0 < lost <= 1 or (lost < 1 and not np.isfinite(range_max)):
-        raise ConfigError(
-            f"lost {lost} must be in (0, 1], with a finite range_max (got {range_max}) below 1"
-        )
+    _check_model(sigma, sigma_theta, hit, short, span, lost, range_max)
 
     floors = (1 - hit - short) / span, (1 - hit) / span
     beams = []
@@ -153,6 +134,44 @@ def beam(
     finally:
         pool.shutdown(cancel_futures=True)  # where somebody stops it
     return out
+
+
+def _check_model(
+    sigma: float, sigma_theta: float, hit: float, short: float, span: float, lost: float,
+    range_max: float,
+) -> None:  # fmt: skip
+    """Refuse parameters that are out of their ranges."""
+    if not (sigma > 0 and sigma_theta >= 0 and span > 0):
+        raise ConfigError(
+            f"sigma {sigma} and span {span} must be positive, "
+            f"sigma_theta {sigma_theta} not negative"
+        )
+    if not (hit >= 0 and short >= 0 and hit + short < 1):
+        raise ConfigError(f"hit {hit} and short {short} must be shares with a sum below 1")
+    if not 0 < lost <= 1 or (lost < 1 and not np.isfinite(range_max)):
+        raise ConfigError(
+            f"lost {lost} must be in (0, 1], with a finite range_max (got {range_max}) below 1"
+        )
+
+
+def _check(
+    distances: npt.NDArray[np.uint16],
+    thetas: FloatArray,
+    readings: dict[str, FloatArray | BoolArray],
+) -> None:
+    """Refuse distances, headings and readings whose shapes do not go together."""
+    if distances.ndim != 3 or distances.dtype != np.uint16:
+        found = f"{distances.shape} {distances.dtype}"
+        raise ConfigError(f"distances must be a (n_psi, H, W) uint16 stack, got {found}")
+    n_psi, k = len(distances), len(thetas)
+    if k < 1 or n_psi % k:
+        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
+    if not np.allclose(wrap(thetas - np.arange(k) * (2 * np.pi / k)), 0, atol=1e-9):
+        raise ConfigError("thetas must be 2 pi k / K for k = 0 .. K - 1")
+    shapes = {name: np.shape(values) for name, values in readings.items()}
+    if len({*shapes.values()}) > 1 or len(shapes["ranges"]) != 1:
+        found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise ConfigError(f"{found} must be vectors of one length")
 
 
 def heading_sigma(n_thetas: int) -> float:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.answers.diagnose import Given, doubts
+from imgloc.answers.causes import Given
+from imgloc.answers.diagnose import doubts
 from imgloc.errors import ImglocError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.messages import (
@@ -20,7 +21,8 @@ from imgloc.io.messages import (
     seconds_of,
 )
 from imgloc.io.scanset import ScanSet
-from imgloc.live.node import Settings, ros_node
+from imgloc.live.node import ros_node
+from imgloc.live.settings import Settings
 from imgloc.live.sites import Maker, site_of
 from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Options
@@ -209,4 +211,4 @@ def _on_the_map(
         found = doubts(features, ScanSet(tuple(scans)), said, options, given)
         counts = ", ".join(f"{sum(v == w for v, _ in said)} {w}" for w in
                            dict.fromkeys(v for v, _ in said))  # fmt: skip
-        yield Row(f"scans on {name}", counts, "; ".join(doubt.text for doubt in found))
+        yield Row(f"scans on {name}", counts, "; ".join(doubt.said for doubt in found))

@@ -39,8 +39,9 @@ from imgloc.io.messages import (
 from imgloc.live.line import Dropped
 from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
-from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Rules, Sighting, alone
+from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Sighting, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
+from imgloc.live.settings import Settings
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
@@ -58,12 +59,12 @@ from imgloc.model import (
     Localization,
     OccupancyGrid,
     Pose2D,
-    check_mount,
     compose,
     inverse,
     to_json,
 )
 from imgloc.options import Options
+from imgloc.ranges import declared
 from imgloc.robot.frames import Frames
 from imgloc.robot.odometry import Odometry
 from imgloc.robot.stamps import AHEAD, ANEW, FINE, Stamps
@@ -93,95 +94,12 @@ _SAVED = 1.0  # seconds between two writes of the pose that is remembered
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
 _TURN = 0.005  # seconds
-_NEAR, _WIDE = 0.01, 1e3  # metres and seconds at least; metres and radians at most
 _NAME = 100  # letters of a frame's name that are shown
 _MAP = "map"
 _OTHERS, _POLICIES = ("use_sim_time", "start_type_description_service"), "qos_overrides."  # rclpy's
 _PLANE = (0, 1, 5)  # x, y and yaw of a pose's covariance
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 _AHEAD = 1.0  # seconds that map -> odom on /tf is ahead of its scan, as that of AMCL is
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the node does; each field but `maps` is a ROS parameter of its name."""
-
-    scan_topics: tuple[str, ...] = ("scan",)
-    sensor: tuple[float, ...] = ()  #: x, y, yaw on the robot of each laser; none: by tf
-    flipped: bool = False  #: whether the lasers hang upside down
-    range_max: float = math.inf  #: metres at which readings are cut
-    base_frame: str = "base_link"
-    map_frame: str = "map"
-    every: float = 0.3  #: seconds between scans that are tried
-    metres: float = 0.3  #: or metres of driving
-    tries: int = 100  #: until the first pose is given up
-    max_age: float = 2.0  #: seconds of a scan whose pose is published
-    scan_timeout: float = 1.0  #: seconds until a laser counts as silent
-    #: standard deviations of /initialpose at least, metres and radians: a localizer that starts
-    #: from it needs room for its own errors
-    least_deviation: tuple[float, ...] = (0.1, 0.05)
-    track: bool = False  #: follow the robot
-    tf: bool = False  #: and publish map -> odom on /tf
-    #: tell a robot that stands a pose by one scan, if that is very sure
-    standing: bool = False
-    #: file that keeps the last sure pose; when the node starts, one scan checks it
-    remember: str = ""
-    #: topic of another localizer's poses, or "tf": say what is thought of them, and publish none
-    watch: str = ""
-
-    def __post_init__(self) -> None:
-        for name, low in (("range_max", _NEAR), ("scan_timeout", _NEAR)):
-            if not (value := getattr(self, name)) >= low:
-                raise ConfigError(f"parameter {name}: got {value:g}, expected {low:g} or more")
-        least = self.least_deviation
-        if len(least) != 2 or not all(0 <= value < _WIDE for value in least):
-            raise ConfigError(
-                f"parameter least_deviation: got {list(least)}, expected metres and radians, each "
-                f"0 to {_WIDE:g}"
-            )
-        if not self.scan_topics or not all(self.scan_topics):
-            got = list(self.scan_topics)
-            raise ConfigError(f"parameter scan_topics: got {got}, expected at least one name")
-        for name in ("map_frame", "base_frame"):
-            if not frame_name(getattr(self, name)):
-                raise ConfigError(f"parameter {name}: is empty, expected the name of a frame")
-        own = [name for name in ("track", "standing", "remember") if getattr(self, name)]
-        if self.watch and own:
-            raise ConfigError(
-                f"parameter watch: publishes no pose, so {own[0]} does not go with it"
-            )
-        if self.tf and not self.track:
-            raise ConfigError("parameter tf: expected track, too: map -> odom is of the tracker")
-        if not all(map(math.isfinite, self.sensor)):
-            raise ConfigError(f"parameter sensor: got {list(self.sensor)}, expected finite numbers")
-
-    @property
-    def rules(self) -> Rules:
-        """Those of the first pose."""
-        try:
-            return Rules(self.every, self.metres, self.tries, self.max_age)
-        except ConfigError as error:
-            raise ConfigError(f"parameter {str(error).removeprefix('Rules.')}") from None
-
-    @property
-    def kept(self) -> Kept | None:
-        """The pose that the file to remember holds, if there is one."""
-        return load_kept(self.remember) if self.remember else None
-
-    @property
-    def mounts(self) -> list[Pose2D] | None:
-        """Where each laser sits; None if tf has to say it."""
-        if not self.sensor:
-            return None
-        if len(self.sensor) != 3 * len(self.scan_topics):
-            raise ConfigError(
-                f"sensor: got {len(self.sensor)} numbers, expected x, y, yaw for each of "
-                f"{len(self.scan_topics)} scan_topics"
-            )
-        mounts = [Pose2D(*row) for row in np.reshape(self.sensor, (-1, 3)).tolist()]
-        for mount in mounts:
-            check_mount(mount, "sensor")
-        return mounts
 
 
 def load_ros() -> Any:
@@ -210,30 +128,25 @@ def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"did you mean {near[0]}?" if near else f"expected {', '.join(known)}"
             node.get_logger().warning(f"parameter {name}: unknown, and ignored; {hint}")
-    for name, default in known.items():
+    for one in declared(Settings):
+        name, default = one.name, known[one.name]
         if name in given:
             node.undeclare_parameter(name)
-        about = ros.rcl_interfaces.ParameterDescriptor(dynamic_typing=True, read_only=True)
+        about = ros.rcl_interfaces.ParameterDescriptor(
+            dynamic_typing=True, read_only=True, description=one.text,
+            additional_constraints="" if one.limit is None else str(one.limit),
+        )  # fmt: skip
         plain = list(default) if isinstance(default, tuple) else default
         value = node.declare_parameter(name, plain, about).value
-        said[name] = _as(value, default, name)
-    return replace(settings, **said)
-
-
-def _as(value: Any, default: Any, name: str) -> Any:
-    """A parameter's value as the setting has it."""
-    kind = type(default)
-    if kind is tuple:
-        items = [value] if isinstance(value, str | int | float) else list(value or [])
-        names = name == "scan_topics"
-        if any(isinstance(i, bool) or isinstance(i, str) != names for i in items):
-            expected = "names" if names else "numbers"
-            raise ConfigError(f"parameter {name}: got {items}, expected {expected}")
-        return tuple(items if names else map(float, items))
-    numbers = kind in (int, float) and isinstance(value, int | float)
-    if isinstance(value, bool) != (kind is bool) or not (numbers or isinstance(value, kind)):
-        raise ConfigError(f"parameter {name}: got {value!r}, expected {kind.__name__}")
-    return kind(value)
+        if isinstance(default, tuple):
+            value = (value,) if isinstance(value, str | int | float) else tuple(value or ())
+        elif isinstance(default, float) and type(value) is int:
+            value = float(value)
+        said[name] = value
+    try:
+        return replace(settings, **said)
+    except ConfigError as error:
+        raise ConfigError(f"parameter {str(error).removeprefix('Settings.')}") from None
 
 
 @dataclass(eq=False)
@@ -326,7 +239,7 @@ class LocalizerNode:
         self.ros, self.node, self.settings, self.core = ros, node, settings, core
         self.made = Messages(ros)
         self.from_topic = from_topic
-        self.first = FirstPose(settings.rules)
+        self.first = FirstPose(settings)
         self.lasers = [
             Topic(topic, None if mounts is None else mounts[k], Stamps(settings.max_age))
             for k, topic in enumerate(settings.scan_topics)
@@ -347,7 +260,7 @@ class LocalizerNode:
         self._watch: Watch | None = None
         self._judging: Future[Opinion] | None = None
         self.opinion = Opinion()
-        self._kept = settings.kept
+        self._kept = _kept_of(settings)
         self._checks = self._kept is not None  # whether that pose is to be checked by a scan
         self._remembered = ""  # what came of it
         self._hashed: tuple[OccupancyGrid, str] | None = None  # a map, and its identity
@@ -1079,6 +992,11 @@ def managed(
     return entity
 
 
+def _kept_of(settings: Settings) -> Kept | None:
+    """The pose that the file to remember holds, if there is one."""
+    return load_kept(settings.remember) if settings.remember else None
+
+
 @contextlib.contextmanager
 def ros_node(
     ros: Any, words: Sequence[str], settings: Settings, *, lifecycle: bool = False
@@ -1102,7 +1020,7 @@ def ros_node(
         undo.callback(node.destroy_node)
         settings = with_parameters(ros, node, settings)
         # What is wrong is said before maps are prepared.
-        _ = settings.mounts, settings.rules, settings.kept
+        _ = settings.mounts, _kept_of(settings)
         yield node, settings, asked
 
 

@@ -2,122 +2,99 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import MISSING, dataclass, field, replace
+from typing import Annotated, Any
 
 from imgloc import options as opt
 from imgloc.__about__ import __version__
 from imgloc.io.scanset import MAX_RAYS
-from imgloc.live import parameters
 from imgloc.live.held import ID_BYTES
-from imgloc.live.parameters import PLACE, TURN, Flag, Number, Numbers, Parameter, Text, Word
+from imgloc.live.parameters import CORNERS, option, schema_of
 from imgloc.live.problems import KINDS, MEDIA
 from imgloc.live.requests import NAME
-from imgloc.model import MOUNTED
+from imgloc.pose import MOUNTED, Pose2D
+from imgloc.ranges import Declared, Matches, OneOf, Option, Within, declaration
+from imgloc.texts import numbers, pose
 
 STACKS = tuple(opt.METHODS)
 LAYERS = ("bmap", "distance", "vmap")
-_LIST = r"(\d{1,9}|\d{0,9}:\d{0,9}(:0{0,9}[1-9]\d{0,8})?)"
-_INDEX_WORDS = "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between"
-_X_Y_YAW = Numbers(3, (PLACE, PLACE, TURN))
-ID = Text(f"[0-9a-f]{{{2 * ID_BYTES}}}", 2 * ID_BYTES, "an id")
+ID = Matches(f"[0-9a-f]{{{2 * ID_BYTES}}}", 2 * ID_BYTES, "an id")
 
-MAP = Parameter(
+
+def _own(name: str, text: str, hint: Any, default: Any = None, **more: Any) -> Declared:
+    """A parameter that is no option of a command; `more` is how it is read."""
+    return declaration(name, Annotated[hint, Option(text, **more)], default)
+
+
+MAP = _own(
     "map",
     "Name of a map of the service, or id of one that was sent. Without it: the service's only map.",
-    NAME,
+    Annotated[str, NAME],
 )
-_SCANS_ID = Parameter("scans", "Scans that were sent before, instead of a body.", ID)
-_FILE_NAME = Parameter(
-    "name",
-    "Name of the file of scans. Its ending sets the format; without it the content decides.",
-    Text(r"[^\x00-\x1f/\\]+", 200, "a file name"),
+_SCANS_ID = _own("scans", "Scans that were sent before, instead of a body.", Annotated[str, ID])
+_CHOSEN = option(
+    opt.Chosen, "index", name="index", text=f"Only these scans of a file: {opt.INDICES}."
 )
-_CHOSEN = Parameter(
-    "index",
-    f"Only these scans of a file: {_INDEX_WORDS}.",
-    Text(f"{_LIST}(,{_LIST}){{0,99}}", 2000, _INDEX_WORDS),
-)
-_TOPIC = Parameter(
-    "topic", "Laser to read from a log that has several.", Text(r"[!-~]+", 200, "a name")
-)
-_SCALE = Parameter.of(opt.Logs, "scale", "range_scale", default=1.0)
-_SENSOR = Parameter(
-    "sensor",
-    "Pose of the sensor on the robot (x, y, yaw); answers then contain poses of the base.",
-    Numbers(3, ((-MOUNTED, MOUNTED), (-MOUNTED, MOUNTED), TURN)),
-)
+_SCALE = option(opt.Logs, "scale")
+_SENSOR = option(opt.Mounting, "sensor", limit=Within(-MOUNTED, MOUNTED, "metres"))
 TAKEN = (
-    _SCALE, Parameter.of(opt.Logs, "range_max"), _SENSOR,
-    Parameter.of(opt.Mounting, "flipped", default=False),
+    _SCALE, option(opt.Logs, "range_max"), _SENSOR,
+    option(opt.Mounting, "flipped"),
 )  # fmt: skip
-_READ = (_FILE_NAME, _TOPIC, Parameter.of(opt.Logs, "fov", "fov_deg"))
+_READ = (
+    _own("name", "Name of the file of scans. Its ending sets the format; without it the content "
+         "decides.", Annotated[str, Matches(r"[^\x00-\x1f/\\]+", 200, "a file name")]),
+    _own("topic", "Laser to read from a log that has several.",
+         Annotated[str, Matches(r"[!-~]+", 200, "a name")]),
+    option(opt.Logs, "fov"),
+)  # fmt: skip
 _SCANS = (_SCANS_ID, *_READ, _CHOSEN, *TAKEN)
-_HEADING = Parameter(
-    "heading",
-    "Only poses that face this heading, up to a deviation.",
-    Numbers(1, (TURN, parameters.OFF)),
-)
-_CLEARANCE = Parameter.of(opt.Known, "clearance")
-_REGION = Parameter(
+_HEADING, _CLEARANCE = option(opt.Known, "heading"), option(opt.Known, "clearance")
+_REGION = _own(
     "region", "Only poses in this polygon: x1, y1, x2, y2 and so on, map frame, metres.",
-    Numbers(6, (PLACE,) * 200),
+    tuple[opt.Place, ...], parse=numbers(*CORNERS),
 )  # fmt: skip
-DOUBTS = (
-    MAP, *_SCANS,
-    Parameter("near", "Only poses near this one: x, y, yaw, then radius and deviation of the "
-              "heading.", Numbers(3, (PLACE, PLACE, TURN, parameters.NEAR, parameters.OFF))),
-    _HEADING, _CLEARANCE, _REGION,
-)  # fmt: skip
-LOCALIZE = (
-    *DOUBTS,
-    Parameter.of(opt.Options, "method", default=opt.FUSED), Parameter.of(opt.Options, "top"),
-    Parameter.of(opt.Options, "theta_step", "theta_step_deg"),
-)  # fmt: skip
+DOUBTS = (MAP, *_SCANS, option(opt.Known, "near"), _HEADING, _CLEARANCE, _REGION)
+LOCALIZE = (*DOUBTS, *(option(opt.Options, key) for key in ("method", "top", "theta_step")))
 WHICH = (*_SCANS, _HEADING, _CLEARANCE)
 FIT = (
     MAP, *_SCANS,
-    Parameter("pose", "Pose of the sensor: x, y, yaw, map frame.", _X_Y_YAW, needed=True),
-    Parameter.of(opt.Shared, "scale", about="Factor of all ranges: evidence.scale of an answer."),
-    Parameter.of(opt.Drawn, "thinner", about="Metres each side of a wall loses: evidence.thinner."),
-    Parameter.of(opt.Drawn, "bent", about="Metres that pieces of wall stand off: evidence.bent."),
+    _own("pose", "Pose of the sensor: x, y, yaw, map frame.", Pose2D, MISSING, parse=pose),
+    option(opt.Shared, "scale", default=None, text="Factor of all ranges: evidence.scale of an "
+           "answer."),
+    option(opt.Drawn, "thinner", text="Metres each side of a wall loses: evidence.thinner."),
+    option(opt.Drawn, "bent", text="Metres that pieces of wall stand off: evidence.bent."),
 )  # fmt: skip
 UPLOAD = (
-    Parameter("name", "What the map is called; its id is another.", NAME),
-    Parameter("origin", "Pose of the lower-left corner: x, y, yaw.", _X_Y_YAW),
-    *(Parameter.of(opt.Reading, key) for key in
-      ("resolution", "mode", "occupied_thresh", "free_thresh", "negate")),
-    Parameter.of(opt.Reading, "semantics", default="nav2"),
-    Parameter("allow_lossy", "Accept a JPEG or a lossy WebP.", Flag(), False),
+    _own("name", "What the map is called; its id is another.", Annotated[str, NAME]),
+    *(option(opt.Reading, key) for key in
+      ("resolution", "origin", "mode", "occupied_thresh", "free_thresh", "negate")),
+    option(opt.Reading, "semantics", default="nav2"),
+    _own("allow_lossy", "Accept a JPEG or a lossy WebP.", bool, False),
 )  # fmt: skip
+_FIRST = Annotated[int, Within(0, 1e9, "")]
 PAGE = (
-    Parameter("start", "The first scan of the page.", Number(0, 1e9, "scans", whole=True), 0),
-    Parameter("count", "Scans of the page.", Number(1, 200, "scans", whole=True), 20),
+    _own("start", "The first scan of the page.", _FIRST, 0),
+    _own("count", "Scans of the page.", Annotated[int, Within(1, 200, "scans")], 20),
     *TAKEN,
 )
-_HELD = Parameter("scans", "Scans that were sent before.", ID, needed=True)
+_HELD = _own("scans", "Scans that were sent before.", Annotated[str, ID], MISSING)
 LIKELIHOOD = (
     MAP, _HELD, _CHOSEN, *TAKEN,
-    Parameter("method", "Method of the likelihood.", Word(STACKS), "cbml"),
-    Parameter("slice", "Number of the heading, or max for the best over all.",
-              Text(r"max|\d{1,5}", 5, "a number, or max"), "max"),
+    _own("method", "Method of the likelihood.", Annotated[str, OneOf(*STACKS)], "cbml"),
+    _own("slice", "Number of the heading, or max for the best over all.",
+         Annotated[str, Matches(r"max|\d{1,5}", 5, "a number, or max")], "max"),
 )  # fmt: skip
 ATLAS = (
     MAP, _HELD, _CHOSEN, *TAKEN,
-    Parameter("step", "Metres between two places.", Number(0.05, 1000, "metres"), 2.0),
-    Parameter("headings", "Headings at each place.", Number(1, 72, whole=True), 1),
-    Parameter("start", "First pose: next of the last answer.", Number(0, 1e9, whole=True), 0),
+    declaration("step", opt.Spacing, 2.0), declaration("headings", opt.Headings, 1),
+    _own("start", "First pose: next of the last answer.", _FIRST, 0),
 )  # fmt: skip
-VISIBILITY = (
-    MAP,
-    Parameter("at", "x, y, map frame, metres.", Numbers(2, (PLACE, PLACE)), needed=True),
-)
+VISIBILITY = (MAP, _own("at", "x, y, map frame, metres.", tuple[opt.Place, opt.Place], MISSING))
 _TRACK = (
-    MAP, *TAKEN,
-    Parameter.of(opt.Followed, "filter", default="tracker"),
-    Parameter.of(opt.Followed, "seed", default=0),
-    Parameter("start", "Rough pose at the beginning: x, y, yaw.", _X_Y_YAW),
-    Parameter("places", "Add the places of the belief to each line.", Flag(), False),
+    MAP, *TAKEN, option(opt.Followed, "filter"), option(opt.Followed, "seed"),
+    _own("start", "Rough pose at the beginning: x, y, yaw.", Pose2D, parse=pose),
+    _own("places", "Add the places of the belief to each line.", bool, False),
 )  # fmt: skip
 
 _NUMBER, _NULL_NUMBER = {"type": "number"}, {"type": ["number", "null"]}
@@ -186,6 +163,8 @@ _SCHEMAS: Mapping[str, Any] = {
         entropy=_NULL_NUMBER, explained=_NULL_NUMBER, counts=_ANY, timings_ms=_ANY,
         parameters=_ANY, warnings=_WARNINGS, protection={"type": "array", "items": _object(
             "", share=_NUMBER, metres=_NULL_NUMBER, radians=_NULL_NUMBER)},
+        things={"type": "array", "items": _object(
+            "", bearing=_NUMBER, distance=_NUMBER, share=_NUMBER, through=_YES)},
     ),
     "Choice": _object("index verdict none maps", index=_WHOLE, verdict=_WORD, none=_NULL_NUMBER,
                       maps=_SOME, warnings=_WARNINGS),
@@ -222,7 +201,7 @@ class Operation:
     about: str
     answer: str  #: in words
     content: Mapping[str, Any]  #: of the answer
-    parameters: Sequence[Parameter] = ()
+    parameters: Sequence[Declared] = ()
     body: Mapping[str, Any] = field(default_factory=dict)  #: media types
     problems: Sequence[int] = ()  #: besides those that follow from the rest
     status: int = 200
@@ -321,21 +300,21 @@ OPERATIONS = (
               "A polygon.", _OBJECT, VISIBILITY),
     Operation("get", "/v1/layers/region", "region", "looks",
               "The cells of a region in white: an image for the option region of imgloc localize.",
-              "PNG.", _PNG, (MAP, Parameter("region", _REGION.about, _REGION.kind, needed=True))),
+              "PNG.", _PNG, (MAP, replace(_REGION, default=MISSING))),
 )  # fmt: skip
 
 
-def _parameter(one: Parameter) -> dict[str, Any]:
-    schema = one.kind.schema | ({} if one.default is None else {"default": one.default})
-    out: dict[str, Any] = {"name": one.name, "in": "query", "description": one.about}
+def _parameter(one: Declared) -> dict[str, Any]:
+    schema = schema_of(one) | ({} if one.default in (None, MISSING) else {"default": one.default})
+    out: dict[str, Any] = {"name": one.name, "in": "query", "description": one.text}
     out["schema"] = schema
-    if one.needed:
+    if one.default is MISSING:
         out["required"] = True
     return out | ({"style": "form", "explode": False} if schema["type"] == "array" else {})
 
 
 def _path_of(name: str) -> dict[str, Any]:
-    schema = (NAME if name == "name" else ID).schema
+    schema = schema_of(declaration("", Annotated[str, NAME if name == "name" else ID]))
     return {"name": name, "in": "path", "required": True, "schema": schema}
 
 

@@ -32,30 +32,15 @@ or after `metres` of driving is due.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
+from imgloc.live.settings import Rules
 from imgloc.model import Localization, Pose2D
-from imgloc.ranges import Checked, Within
 
 WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
     "waiting", "trying", "confirmed", "quiet", "given up",
 )  # fmt: skip
 #: Of one scan that is believed without a second: least mass, and largest radius of its 95 % level.
 _ALONE = 0.999, 0.5
-
-
-@dataclass(frozen=True)
-class Rules(Checked):
-    """How often a first pose is tried, and what of it is published."""
-
-    #: from one scan that is tried to the next
-    every: Annotated[float, Within(0, 3600, "seconds")] = 0.3
-    #: or so much driving, by odometry
-    metres: Annotated[float, Within(0, 1000, "metres")] = 0.3
-    #: scans that weigh the belief, or are blind, until it is given up
-    tries: Annotated[int, Within(2, 1_000_000, "answers")] = 100
-    #: of a scan whose pose is published
-    max_age: Annotated[float, Within(0.01, 3600, "seconds")] = 2.0
 
 
 @dataclass(frozen=True)

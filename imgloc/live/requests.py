@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -29,15 +29,15 @@ from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
 from imgloc.io.scanset import MAX_RAYS, ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 from imgloc.live.bounds import MIB, Bounds
-from imgloc.live.parameters import Text
 from imgloc.live.problems import Refused
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import LaserScan, OccupancyGrid, check_mount
 from imgloc.options import Reading
+from imgloc.ranges import Matches
 
 JSON, FORM = "application/json", "multipart/form-data"
 _ENDINGS = (*SCAN_ENDINGS, ".yaml", ".yml")
 #: What a map may be called.
-NAME = Text(
+NAME = Matches(
     r"[A-Za-z0-9][A-Za-z0-9._ -]*", 100,
     "letters, digits, dots, spaces, _ and -, at most 100, a letter or digit first",
 )  # fmt: skip
@@ -237,7 +237,10 @@ def taken(scan: LaserScan, how: Mapping[str, Any]) -> LaserScan:
             raise ScanError(f"range_max: got {cut:g}, expected more than the scan's {low}")
         scan = replace(scan, range_max=cut)
     sensor = how.get("sensor")
-    return scan if sensor is None else replace(scan, T_base_laser=Pose2D(*sensor))
+    if sensor is None:
+        return scan
+    check_mount(sensor, "`sensor`")
+    return replace(scan, T_base_laser=sensor)
 
 
 def map_of(
@@ -261,14 +264,10 @@ def map_of(
     if not image:
         raise MapError("the image is empty, expected that of a map")
     name = name or _called(files)
-    if NAME.read(name) is None:
+    if not NAME.admits(name):
         raise MapError(f"name: got {shown(name)!r}, expected {NAME}")
-    reading: Reading = {
-        "resolution": how.get("resolution"), "origin": how.get("origin"), "mode": how.get("mode"),
-        "semantics": how.get("semantics") or "nav2", "negate": how.get("negate"),
-        "occupied_thresh": how.get("occupied_thresh"), "free_thresh": how.get("free_thresh"),
-        "max_pixels": bounds.pixels,
-    }  # fmt: skip
+    given = {key: how.get(key) for key in Reading.__annotations__}
+    reading = cast(Reading, given | {"max_pixels": bounds.pixels})
     lossy = bool(how.get("allow_lossy"))
     return name, map_of_bytes(image, yaml, name, allow_lossy=lossy, **reading)
 

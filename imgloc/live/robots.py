@@ -76,7 +76,7 @@ class Robots:
             clock = Heard()  # the robot's own: what is ahead of this one is no error
             robot = await asyncio.to_thread(self._core.robot, name, tracking, clock=clock)
             if values["start"] is not None:
-                await self._lane.run(partial(robot.start_at, Pose2D(*values["start"])), seconds)
+                await self._lane.run(partial(robot.start_at, values["start"]), seconds)
             offered = socket.scope.get("subprotocols", [])
             await socket.accept("imgloc" if "imgloc" in offered else None)
             origin = site.features.grid.origin if values["places"] else None

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import math
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -28,7 +27,8 @@ from starlette.routing import Route, Router, WebSocketRoute
 from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketState
 
-from imgloc.answers.diagnose import Given, doubts, is_doubtful
+from imgloc.answers.causes import Given
+from imgloc.answers.diagnose import doubts, is_doubtful
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
 from imgloc.errors import ConfigError, as_options
@@ -54,8 +54,8 @@ from imgloc.live.requests import Sent, map_of, marked_bytes, marked_of, scans_of
 from imgloc.live.robots import Robots
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
-from imgloc.model import FloatArray, LaserScan, Likelihood, Pose2D, plain, to_json
-from imgloc.options import FUSED, RADIUS, TOLERANCE, Chosen, Known, Prior
+from imgloc.model import FloatArray, LaserScan, Likelihood, plain, to_json
+from imgloc.options import FUSED, Chosen, Known, Prior
 from imgloc.output.rows import answer_row, scan_row
 from imgloc.pipeline import localize, prepare
 from imgloc.search.asked import answer_bytes
@@ -472,10 +472,9 @@ class Service:
         return found
 
     def _scans_in(self, body: bytes, kind: str, values: Values) -> Sent:
-        fov = None if values["fov_deg"] is None else math.radians(values["fov_deg"])
         return scans_of(
             body, kind, values["name"] or "", self.bounds,
-            topic=values["topic"], fov=fov, budget=self._part,
+            topic=values["topic"], fov=values["fov_deg"], budget=self._part,
         )  # fmt: skip
 
     def _held(self, id_: str) -> ScansHeld:
@@ -528,12 +527,9 @@ class Service:
         name, site = self._site(ask.values["map"])
         chosen, (scans, warnings), prior = await self._asked(ask, site)
         values = ask.values
-        step, keys = values["theta_step_deg"], ("method", "top")
-        given = {key: values[key] for key in keys}
-        options = replace(self.core.options, **given, prior=prior).stepped(
-            None if step is None else math.radians(step)
-        )
-        sensor = None if values["sensor"] is None else Pose2D(*values["sensor"])
+        given = {key: values[key] for key in ("method", "top")}
+        options = replace(self.core.options, **given, prior=prior)
+        options = options.stepped(values["theta_step_deg"])
 
         async def row(k: int) -> str:
             begin = time.perf_counter()
@@ -544,7 +540,9 @@ class Service:
 
             def text() -> str:
                 of = {"map": name, "version": self._describe(name, site)["version"]}
-                found = answer_row(answer, scan, k, sensor=sensor, flipped=values["flipped"])
+                found = answer_row(
+                    answer, scan, k, sensor=values["sensor"], flipped=values["flipped"]
+                )
                 return to_json(_warned({**found, **of}, warnings))
 
             return str(await ask.run(text, "looks"))
@@ -565,7 +563,7 @@ class Service:
                 return []
             given = Given(values["flipped"], values["range_scale"])
             hints = doubts(site.features, ScanSet((scan,)), said, options, given)
-            return [as_options(hint.text) for hint in hints]
+            return [as_options(hint.said) for hint in hints]
 
         return JSONResponse({"hints": await ask.run(text)})
 
@@ -575,7 +573,7 @@ class Service:
         self._check_prepared()
         chosen, (scans, warnings), _ = await self._asked(ask, None)
         values = ask.values
-        known = Known(None, _heading(values), values["clearance"])
+        known = Known(None, values["heading"], values["clearance"])
 
         async def row(k: int) -> str:
             begin = time.perf_counter()
@@ -609,7 +607,7 @@ class Service:
             raise ConfigError("thinner: the map is too large to make its walls thinner, expected 0")
 
         def text() -> str:
-            scan, pose = taken(scans[chosen[0]], values), Pose2D(*values["pose"])
+            scan, pose = taken(scans[chosen[0]], values), values["pose"]
             settle = kind == "settle"
             found = fit_at(site.features, scan, pose, options, shared=shared, settle=settle)
             return to_json(_warned(found.as_row(), warnings))
@@ -686,11 +684,8 @@ def _one_of(held: ScansHeld, values: Values) -> LaserScan:
 
 def _prior(values: Values, site: Site) -> Prior:
     """The poses, on a map, that a request leaves: near one, in a region, and so on."""
-    near = values["near"]
-    if near is not None:
-        near = (*near, *(RADIUS, TOLERANCE)[len(near) - 3 :])
     grid = site.features.grid
-    prior = prior_of(Known(near, _heading(values), values["clearance"]), grid)
+    prior = prior_of(Known(*(values[key] for key in ("near", "heading", "clearance"))), grid)
     if values["region"] is not None:
         cells = layers.region_cells(grid, _corners(values["region"]))
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
@@ -723,12 +718,8 @@ def _rows(lines: Sequence[str]) -> Response:
     return Response("".join(f"{line}\n" for line in lines), media_type=media)
 
 
-def _heading(values: Values) -> tuple[float, float] | None:
-    return values["heading"] and (*values["heading"], TOLERANCE)[:2]
-
-
 def _corners(numbers: Sequence[float]) -> FloatArray:
     """The corners (N, 2) of a polygon."""
     if len(numbers) % 2:
         raise ConfigError(f"region: got {len(numbers)} numbers, expected pairs x, y")
-    return np.array(numbers, dtype=np.float64).reshape(-1, 2)
+    return np.reshape(numbers, (-1, 2))

@@ -7,7 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from imgloc.errors import as_options
-from imgloc.model import SURE, VERDICTS, Evidence, Floor, Localization, Pose2D, base_of
+from imgloc.model import (
+    SURE,
+    VERDICTS,
+    Evidence,
+    Floor,
+    Localization,
+    Pose2D,
+    Thing,
+    base_of,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from imgloc.choice.choose import Choice
@@ -17,6 +26,7 @@ if TYPE_CHECKING:
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
 _UNDER = "sd: standard deviation, with errors common to one wall"
+_NAMED = 3  # things that a line names
 _LISTED = 3  # maps that a line of `imgloc which` names
 
 
@@ -156,6 +166,8 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             facts.append(("map", how + bent))
         if evidence.floor is not None:
             facts.append(("floor", floor_words(evidence.floor)))
+        if evidence.things:
+            facts.append(("things", thing_words(evidence.things)))
         poses = f"{evidence.listed} of {evidence.found} places shown"
         if evidence.unlisted > 0:
             poses += f"; the rest share {percent(evidence.unlisted)}"
@@ -223,6 +235,26 @@ def bent_words(found: "Evidence | Moment") -> str | None:
     if found.bent > 0:
         said.append(f"pieces of wall {found.bent:.2f} m off")
     return " and ".join(said) or None
+
+
+def thing_words(things: Sequence[Thing]) -> str:
+    """Name the pieces of a scan that differ from the map.
+
+    Examples
+    --------
+    >>> thing_words([Thing(0.5, 2.0, 0.15, False), Thing(-1.5, 4.0, 0.09, True)])
+    '2 differ from the map, 24 % of the readings: 2.0 m away at 29 deg, 4.0 m away at -86 deg \
+(through a wall of the map)'
+    """
+    share = 100 * sum(thing.share for thing in things)
+    where = [
+        f"{thing.distance:.1f} m away at {math.degrees(thing.bearing):.0f} deg"
+        + " (through a wall of the map)" * thing.through
+        for thing in things[:_NAMED]
+    ]
+    more = ["..."] * (len(things) > _NAMED)
+    found = f"{len(things)} differ from the map, {share:.0f} % of the readings"
+    return f"{found}: {', '.join(where + more)}"
 
 
 def floor_words(floor: Floor) -> str:

@@ -11,7 +11,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
-from imgloc.answers.diagnose import Doubt, Said, is_doubtful, tilted
+from imgloc.answers.causes import Cause
+from imgloc.answers.diagnose import Said, is_doubtful, tilted
 from imgloc.model import Evidence, Floor
 from imgloc.options import FUSED
 from imgloc.runs.jobs import Item, Job
@@ -97,7 +98,7 @@ def _unique(said: Said) -> bool:
     return 2 * sum(verdict == "unique" for verdict, _ in said) >= len(said)
 
 
-def look_again(item: Item, job: Localize, said: Said, means: Means) -> list[Doubt]:
+def look_again(item: Item, job: Localize, said: Said, means: Means) -> list[Cause]:
     """Diagnose an item from its verdicts, `said`, and a few of its scans."""
     found = job.open(item, means.desk())
     return found.doubts(found.taken.scans, said)
@@ -113,7 +114,7 @@ def hints_of(
     if not isinstance(job, Localize) or job.options.method != FUSED:
         return []
     begun = [(item, executor.submit(look_again, item, job, said, means)) for item, said in doubtful]
-    found, named = dict[tuple[str, str], Doubt](), defaultdict[tuple[str, str], list[str]](list)
+    found, named = dict[tuple[str, str], Cause](), defaultdict[tuple[str, str], list[str]](list)
     for item, future in begun:
         with contextlib.suppress(Exception):  # its row is there; a hint is all that is missed
             for hint in future.result():  # of one cause the first sentence stands for all
@@ -122,7 +123,7 @@ def hints_of(
                 named[kind].append(f"{item.scans} on {item.map}")
     sure = any(hint.found for hint in found.values())
     return [
-        {"hint": found[kind].text, "items": len(names), "of": len(begun), "first": names[:_NAMED]}
+        {"hint": found[kind].said, "items": len(names), "of": len(begun), "first": names[:_NAMED]}
         for kind, names in sorted(named.items(), key=lambda kv: (-len(kv[1]), kv[0]))
         if found[kind].found or not sure
     ]

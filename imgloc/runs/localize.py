@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.answers.diagnose import Doubt, Given, Said, doubts, mirrored
+from imgloc.answers.causes import Cause, Given
+from imgloc.answers.diagnose import Said, doubts, mirrored
 from imgloc.answers.truth import with_true_poses
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
@@ -131,13 +132,13 @@ class Locating:
         scans = with_true_poses(taken.scans, grid, taken.name, taken.tried)
         return replace(self, taken=replace(taken, scans=scans))
 
-    def doubts(self, scans: ScanSet, said: Said) -> list[Doubt]:
+    def doubts(self, scans: ScanSet, said: Said) -> list[Cause]:
         """What may be wrong with scans of which this was `said`."""
         if not self._tries:
             return []
         return doubts(self.features, scans, said, self.options, self._given)
 
-    def mirrored(self, scans: ScanSet, said: Said) -> Doubt | None:
+    def mirrored(self, scans: ScanSet, said: Said) -> Cause | None:
         """Whether scans of which this was `said`, and which do not fit, do so if mirrored."""
         if not self._tries:
             return None

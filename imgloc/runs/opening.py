@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any, TypeVar
 
-from imgloc.answers.diagnose import Given
+from imgloc.answers.causes import Given
 from imgloc.answers.truth import tried_of
 from imgloc.errors import STDERR, ConfigError, OutputError, ScanError
 from imgloc.features.budget import (

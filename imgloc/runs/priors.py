@@ -7,6 +7,7 @@
 (12, (0.0, 0.8))
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,7 @@ def near(
     ConfigError
         If a number is out of its range.
     """
-    return prior_of(Known(near=(x, y, theta, radius, tolerance)), _grid(place))
+    return prior_of(Known(near=(x, y, math.fmod(theta, math.tau), radius, tolerance)), _grid(place))
 
 
 def region(

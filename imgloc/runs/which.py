@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from imgloc.answers.diagnose import Doubt, doubts
+from imgloc.answers.causes import Cause, cause
+from imgloc.answers.diagnose import doubts
 from imgloc.choice.choose import FIRST, OPTIONS, Choice, Opened, bounds_of, choose, search
 from imgloc.choice.folder_index import MapIndex, open_index
 from imgloc.errors import ConfigError, MapError
@@ -166,7 +167,7 @@ class Choosing:
                 best=best,
             )
 
-    def doubts(self, answers: Sequence[Named]) -> list[Doubt]:
+    def doubts(self, answers: Sequence[Named]) -> list[Cause]:
         """What may be wrong if most of the scans have no map, tried in the map that fits most.
 
         `which` allows for no error that all readings share, because every map would gain by one;
@@ -182,7 +183,7 @@ class Choosing:
                 return [found]
         return []
 
-    def _doubts(self, name: str, scans: ScanSet) -> Doubt | None:
+    def _doubts(self, name: str, scans: ScanSet) -> Cause | None:
         """What keeps scans from being of one of the maps, if something was found."""
         features = self.features(self.files[name])
         prior = prior_of(self.job.known, features.grid)
@@ -197,11 +198,7 @@ class Choosing:
             return replace(doubt, text=f"{name}: {doubt.text}") if doubt.found else None
         if 2 * sum(answer.verdict == "unique" for answer in located) <= len(located):
             return None
-        text = (
-            f"imgloc localize finds such scans at one place of {name}, because it takes for "
-            "granted that they are from that map; imgloc which does not"
-        )
-        return Doubt("none", text, text, found=False)
+        return cause("none", name=name)
 
     def _drawn(
         self, best: str, answer: Localization, scan: LaserScan, index: int

@@ -214,7 +214,7 @@ def adapt(
     count, readings = len(readings), readings.spread(_READINGS)
 
     def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
-        return score_readings(there, readings, poses, options)
+        return score_readings(there, readings, poses, options.model)
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)

@@ -25,7 +25,8 @@ _BINS = number("background.bins")
 def unmapped_score(readings: Readings, model: EvidenceModel) -> float:
     """Mean log-density of readings in a building that is on no map, nats per reading.
 
-    It is the score of the best empty room, in which things of their own stand.
+    It is the score of the best empty room. Things of their own stand in it, but not where walls are
+    bent: there the poses have none, either.
 
     Parameters
     ----------
@@ -36,8 +37,9 @@ def unmapped_score(readings: Readings, model: EvidenceModel) -> float:
     """
     order, parts = pieces(readings.ranges, readings.angles)
     told = np.add.reduceat(best_room(readings.xy, model)[order], parts)
-    both = np.logaddexp(told, things_of_their_own(parts, len(order), model))
-    return float(both.sum()) / len(order)
+    if not model.bent:
+        told = np.logaddexp(told, things_of_their_own(parts, len(order), model))
+    return float(told.sum()) / len(order)
 
 
 def best_room(xy: FloatArray, model: EvidenceModel) -> FloatArray:
@@ -50,7 +52,7 @@ def best_room(xy: FloatArray, model: EvidenceModel) -> FloatArray:
         does not see may be missing.
     model : EvidenceModel
         The density of a reading by its distance from a wall. The results compare with those that
-        :func:`~imgloc.search.rescore.rescore` adds.
+        :func:`~imgloc.search.rescore.score_poses` adds.
 
     Examples
     --------

@@ -32,11 +32,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_along
 from imgloc.features.scanpoints import Readings
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, Thing
 from imgloc.numbers import number
 from imgloc.options import EvidenceModel, Options
 from imgloc.search.hypotheses import first_in_cell, modes
@@ -62,13 +61,14 @@ _FITS: float = number("rescore.fits")
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of C poses by N readings, from :func:`rescore`."""
+    """Scores of C poses by N readings, from :func:`score_poses`."""
 
     log_likelihood: FloatArray  #: (C,) nats, each reading by itself
     things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
-    #: (C,) number of pieces, of some readings at least, that are rather what the map has there
-    mapped: IntArray
-    through: IntArray  #: (C,) and of those most of which pass through a mapped wall
+    #: (C, P) pieces, of some readings at least, that are rather what the map has there
+    fits: BoolArray
+    own: BoolArray  #: (C, P) and those that are rather things of their own
+    passing: BoolArray  #: (C, P) pieces most of which pass through a mapped wall
     #: (C, N) whether a reading ends nearer to a surface than twice the wider sigma
     on_surface: BoolArray
     #: (C, N) whether a reading passes through a mapped wall, which more likely than not is gone
@@ -79,78 +79,84 @@ class Scores:
         return Scores(*(getattr(self, each.name)[index] for each in fields(self)))
 
     @property
+    def mapped(self) -> IntArray:
+        """Number of pieces that are rather what the map has there, (C,)."""
+        return np.asarray(self.fits.sum(axis=1))
+
+    @property
+    def through(self) -> IntArray:
+        """Number of pieces that pass through a mapped wall, (C,)."""
+        return np.asarray(self.passing.sum(axis=1))
+
+    @property
     def explained(self) -> FloatArray:
         """Share of the readings, 0..1, that end on a surface and cross no wall, (C,)."""
         return np.asarray((self.on_surface & ~self.crossed).mean(axis=1))
 
 
-def rescore(
-    poses: FloatArray,
-    ranges: FloatArray,
-    angles: FloatArray,
-    field: DistanceField,
-    walls: Float32Array,
-    model: EvidenceModel,
+def score_poses(
+    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> Scores:
     """Score poses by endpoint evidence, with a penalty for readings that pass through a wall.
 
-    Parameters
-    ----------
-    poses : (C, 3) or (C, 4) float array
-        Grid frame: metres, metres, radians. A fourth column is a scale of the readings, a factor.
-    ranges, angles : (N,) float arrays
-        Valid readings only: metres, and radians in the sensor frame.
-    field : DistanceField
-        Signed distance to the surfaces, metres.
-    walls : (H, W) float32 array
-        Distance to the occupied cells, in cells, from
-        :func:`~imgloc.features.raycast.distance_image`.
+    `poses` are in the grid frame, (C, 3): metres, metres, radians. A fourth column (C, 4) is a
+    scale of the readings, a factor.
     """
-    order, parts = pieces(ranges, angles)
-    log_likelihood, told, distance, shifted = _told(
-        poses, ranges, angles, field, walls, model, order, parts
-    )
+    order, parts = pieces(readings.ranges, readings.angles)
+    log_likelihood, told, distance, shifted = _told(features, readings, poses, model)
     if not model.bent:
         displaced = replace(model, bent=_DISPLACED)
         bent = _bent_pieces(distance[:, order], parts, displaced, shifted[:, order])
         told = np.logaddexp(told, bent - _DISPLACEMENT)
     on_surface, crossed = np.abs(distance) < 2 * max(model.sigmas), shifted < model.absent
-    own, passing = things_of_their_own(parts, len(order), model), _sums(crossed[:, order], parts)
-    sizes = _sizes(parts, len(order))
-    mapped = (sizes >= _RUN[0]) & (told > np.maximum(own, sizes * (model.best - _FITS)))
-    through = (passing >= _RUN[1]) & (2 * passing > sizes)
+    sizes, own = _sizes(parts, len(order)), things_of_their_own(parts, len(order), model)
+    crossing, some = _sums(crossed[:, order], parts), sizes >= _RUN[0]
+    fits = some & (told > np.maximum(own, sizes * (model.best - _FITS)))
+    passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     # On bent walls all pieces are displaced or gone already.
     things = log_likelihood if model.bent else np.logaddexp(told, own).sum(axis=1)
-    return Scores(
-        log_likelihood, things, mapped.sum(axis=1), through.sum(axis=1), on_surface, crossed
+    apart = some & (told < own)
+    return Scores(log_likelihood, things, fits, apart, passing, on_surface, crossed)
+
+
+def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
+    """Name the pieces of a scan that differ from the map at one of the scored poses.
+
+    They are not on the map, or pass through a wall of it. The largest come first.
+    """
+    order, parts = pieces(readings.ranges, readings.angles)
+    sizes = _sizes(parts, len(order))
+    angle, far = (
+        np.add.reduceat(each[order], parts) / sizes for each in (readings.angles, readings.ranges)
     )
+    found = np.flatnonzero(scores.own[index] | scores.passing[index])
+    return tuple(
+        Thing(
+            float(angle[k]), float(far[k]), float(sizes[k] / len(order)),
+            bool(scores.passing[index, k]),
+        )
+        for k in found[np.argsort(-sizes[found], kind="stable")]
+    )  # fmt: skip
 
 
 def score_readings(
-    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
+    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> FloatArray:
     """Log-likelihoods (C,) of :func:`score_poses`, nats, without the things."""
-    about = readings.ranges, readings.angles, features.field, features.walls, options.model
-    return _told(poses, *about, *pieces(readings.ranges, readings.angles))[0]
+    return _told(features, readings, poses, model)[0]
 
 
 def _told(
-    poses: FloatArray,
-    ranges: FloatArray,
-    angles: FloatArray,
-    field: DistanceField,
-    walls: Float32Array,
-    model: EvidenceModel,
-    order: IntArray,
-    parts: IntArray,
+    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> tuple[FloatArray, FloatArray, Float32Array, Float32Array]:
     """Log-densities (C,) of all readings and (C, P) of each piece, nats.
 
     Then the distances (C, N) of the endpoints from a surface, metres, and the chance (C, N) that
     the wall that a reading passes is displaced.
     """
-    density, distance = _endpoint_density(poses, ranges, angles, field, model)
-    shifted = _shifted(poses, ranges, angles, walls, field.resolution, model)
+    order, parts = pieces(readings.ranges, readings.angles)
+    density, distance = _endpoint_density(features, readings, poses, model)
+    shifted = _shifted(features, readings, poses, model)
     if model.bent:
         told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
         return told @ _counts(parts, len(order), model), told, distance, shifted
@@ -187,43 +193,28 @@ def _passing(density: Float32Array, shifted: Float32Array, model: EvidenceModel)
 
 
 def _shifted(
-    poses: FloatArray,
-    ranges: FloatArray,
-    angles: FloatArray,
-    walls: Float32Array,
-    resolution: float,
-    model: EvidenceModel,
+    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> Float32Array:
     """Chance that the wall that a reading passes is displaced; 1 before a wall, (C, N)."""
+    ranges, angles, resolution = readings.ranges, readings.angles, features.field.resolution
     margin = model.margin + resolution / 2
     far = ranges * poses[:, 3:] if poses.shape[1] == 4 else ranges
     reach = np.maximum(far - margin, 1e-3)
     c, s = (turn(poses[:, 2:3]).astype(np.float32) for turn in (np.cos, np.sin))
     u, v = (turn(angles).astype(np.float32) for turn in (np.cos, np.sin))
     along = c * u - s * v, s * u + c * v
-    seen = cast_along(walls, poses[:, None, :2], *along, reach, resolution)
+    seen = cast_along(features.walls, poses[:, None, :2], *along, reach, resolution)
     beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     return np.asarray(np.exp(-np.square(beyond / np.float32(model.displaced))))
 
 
-def score_poses(
-    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
-) -> Scores:
-    """Score poses in the grid frame, (C, 3) or with a scale (C, 4), by readings of a scan."""
-    ranges, angles, model = readings.ranges, readings.angles, options.model
-    return rescore(poses, ranges, angles, features.field, features.walls, model)
-
-
 def _endpoint_density(
-    poses: FloatArray,
-    ranges: FloatArray,
-    angles: FloatArray,
-    field: DistanceField,
-    model: EvidenceModel,
+    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> tuple[Float32Array, Float32Array]:
     """Density of each reading by its endpoint alone, 1 / metres, and distance in metres: (C, N)."""
+    ranges, angles = readings.ranges, readings.angles
     xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
-    distance = endpoints(poses, xy, field)[2]
+    distance = endpoints(poses, xy, features.field)[2]
     return hit_density(distance, model), distance
 
 
@@ -237,44 +228,6 @@ def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
         peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
         density += np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
     return density
-
-
-def bent_evidence(
-    distance: Float32Array,
-    ranges: FloatArray,
-    angles: FloatArray,
-    model: EvidenceModel,
-    shifted: Float32Array | None = None,
-) -> FloatArray:
-    """Evidence (C,) of readings if each piece of wall is displaced, or gone, by itself, nats.
-
-    Parameters
-    ----------
-    distance : (C, N) float32 array
-        Signed distance of each endpoint from its surface, metres.
-    ranges, angles : (N,) float arrays
-        The readings, metres and radians. Neighbours are on one piece of wall unless their ranges
-        jump or the piece would be seen under a wide angle.
-    model : EvidenceModel
-        The density of a reading, and the standard deviation of the place of a piece.
-    shifted : (C, N) float32 array, optional
-        Chance that the wall before an endpoint is not gone but displaced, 0..1: 1 if the reading
-        passes no wall. By default the evidence is of endpoints alone, and all readings count alike.
-
-    Examples
-    --------
-    Four readings that are all 0.2 m off cost less on a bent map:
-
-    >>> off, ranges, angles = np.full((1, 4), 0.2, np.float32), np.ones(4), np.arange(4) / 100
-    >>> straight = np.log(hit_density(off, EvidenceModel())).sum()
-    >>> bool(bent_evidence(off, ranges, angles, EvidenceModel(bent=0.15))[0] > straight)
-    True
-    """
-    order, parts = pieces(ranges, angles)
-    if shifted is None:
-        return np.asarray(piece_evidence(distance[:, order], parts, model).sum(axis=1))
-    told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
-    return np.asarray(told @ _counts(parts, len(order), model))
 
 
 def _bent_pieces(
@@ -328,13 +281,12 @@ def shortlist(
     behind a best one that fits are left out, apart from a few places. If refinement has brought
     poses together, the one whose readings end nearest to walls stands for all.
     """
-    fused, model, field = options.fused, options.model, features.field
-    ranges, angles = readings.ranges, readings.angles
-    density = _endpoint_density(poses, ranges, angles, field, model)[0]
+    fused, model = options.fused, options.model
+    density = _endpoint_density(features, readings, poses, model)[0]
     ends = np.log(density).sum(axis=1, dtype=np.float64)
     order = np.argsort(-ends, kind="stable")
     poses = poses[np.sort(order[first_in_cell(poses[order], *fused.same)])]
-    score = score_readings(features, readings, poses, options)
+    score = score_readings(features, readings, poses, model)
     # Of places that are as good as the best one none is left out, else their masses are chance.
     equal = int(np.count_nonzero(score >= score.max(initial=-np.inf) - _EQUAL))
     places = max(fused.second_look, min(equal, _EQUALS))
@@ -347,6 +299,6 @@ def shortlist(
     (distance, angle), count = fused.separation, fused.least_look
     top = score.max(initial=-np.inf)
     near = score[both] >= top - fused.behind
-    near |= top < (model.best - fused.strained) * len(ranges)  # where nothing fits, all may be
+    near |= top < (model.best - fused.strained) * len(readings)  # where nothing fits, all may be
     near[modes(poses[both], score[both], distance=distance, angle=angle, most=count)] = True
     return poses[both[near]], score[both[near]]

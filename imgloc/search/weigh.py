@@ -22,7 +22,7 @@ from imgloc.search.hypotheses import (
 from imgloc.search.modes import Modes, temperature_of
 from imgloc.search.priors import stands
 from imgloc.search.refine import block_sums, refine
-from imgloc.search.rescore import Scores, score_poses
+from imgloc.search.rescore import Scores, score_poses, things_at
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
@@ -178,6 +178,7 @@ def evidence_of(
     return Evidence(
         n, model.best, model.best - float(scores.log_likelihood[best]) / n, unmapped, gained,
         against, temperature=temperature, mapped=mapped, through=through, floor=floor,
+        things=things_at(readings, scores, best),
     )  # fmt: skip
 
 
@@ -202,7 +203,7 @@ def explained_rays(
     """
     scan, there = scan.scaled(shared.scale), features.thinner(shared.thinner)
     rays = Readings(scan.ranges[scan.valid], scan.angles[scan.valid])
-    return float(score_poses(there, rays, pose, options).explained[0])
+    return float(score_poses(there, rays, pose, options.model).explained[0])
 
 
 def settle(
@@ -214,4 +215,4 @@ def settle(
     """
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     poses = refine(poses, readings.xy, features.field, sigmas=_FROM_CELLS)
-    return poses, readings, score_poses(features, readings, poses, options)
+    return poses, readings, score_poses(features, readings, poses, options.model)

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import importlib
-import json
 import os
 import subprocess
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import MAPS, call, command, rows, spawn
+from command import MAPS, call, command, rows
 
 from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
@@ -39,10 +38,6 @@ def evaluated(*arguments: object) -> list[dict[str, Any]]:
     code, out, err = call("evaluate", *arguments, "--json")
     assert (code, err) == (0, "")
     return rows(out)
-
-
-def without_cost(text: str) -> list[str]:
-    return [json.dumps({**row, "cost": None}) for row in rows(text)]
 
 
 def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
@@ -98,39 +93,6 @@ def test_recorded_scans_of_a_sensor_upside_down(scans: Path, tmp_path: Path) -> 
     (upright,) = evaluated(*words, scans)
     assert told["success"] == upright["success"]
     assert (told["source"]["flipped"], upright["source"]["flipped"]) == (True, False)
-
-
-def test_the_same_for_every_run_and_number_of_threads() -> None:
-    words = (
-        "evaluate",
-        "curved",
-        "-n",
-        1,
-        "--method",
-        "fused,cbml,ght-v",
-        "--cell",
-        0.2,
-        "--json",
-    )
-    one, two = (spawn(*words, "--threads", n) for n in (1, 2))
-    assert one.code == 0
-    assert without_cost(one.out) == without_cost(two.out)
-
-
-def test_recorded_scans_are_sampled_as_numpy_samples(scans: Path, tmp_path: Path) -> None:
-    whole = load_scans(scans)
-    assert whole.poses is not None
-    pick = np.random.default_rng(7).choice(6, 2, replace=False)
-    few = tmp_path / "few.npz"
-    save_scans(few, ScanSet(tuple(whole[int(k)] for k in pick), poses=whole.poses[pick]))
-    (a,) = evaluated(
-        CURVED, "--scans", scans, "--sample", 2, "--sample-seed", 7, "--method", "cbml"
-    )
-    (b,) = evaluated(CURVED, "--scans", few, "--method", "cbml")
-    assert (a["source"]["sample"], a["source"]["sample_seed"]) == (2, 7)
-    assert a["source"]["scans"] == str(scans)
-    for key in set(KEYS) - {"source", "cost"}:
-        assert a[key] == b[key]
 
 
 def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> None:

@@ -15,9 +15,11 @@ from command import MAPS, spawn
 import imgloc
 from imgloc.errors import ConfigError
 from imgloc.live.localizer import Localizer
-from imgloc.live.node import LocalizerNode, Settings, load_ros
+from imgloc.live.node import LocalizerNode, load_ros, with_parameters
+from imgloc.live.settings import Settings
 from imgloc.live.status import ERROR
 from imgloc.options import Options, Sensor
+from imgloc.ranges import declared
 from imgloc.simulation.scans import simulate
 
 pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
@@ -257,28 +259,39 @@ def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"range_max": -1.0}, "range_max: got -1, expected 0.01 or more"),
+        ({"range_max": -1.0}, "range_max: got -1.0, expected metres, 0.001 or more"),
         ({"range_max": NAN}, "range_max: got nan"),
         ({"scan_timeout": NAN}, "scan_timeout: got nan"),
-        ({"least_deviation": (1.0,)}, "least_deviation: got [1.0], expected metres and radians"),
-        ({"least_deviation": (NAN, 1.0)}, "least_deviation: got [nan, 1.0]"),
-        ({"scan_topics": ()}, "scan_topics: got [], expected at least one name"),
-        ({"map_frame": "/"}, "map_frame: is empty"),
-        ({"sensor": (0.0, 0.0, INF)}, "sensor: got [0.0, 0.0, inf], expected finite numbers"),
+        ({"least_deviation": (1.0,)}, "least_deviation: got (1.0,), expected 2 values"),
+        ({"least_deviation": (NAN, 1.0)}, "least_deviation[0]: got (nan, 1.0), expected metres"),
+        ({"scan_topics": ()}, "scan_topics: got (), expected at least one value"),
+        ({"map_frame": "/"}, "map_frame: got '/', expected the name of a frame"),
+        ({"sensor": (0.0, 0.0, INF)}, "sensor[2]: got (0.0, 0.0, inf), expected metres"),
     ],
 )
 def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError) as refused:
         Settings(**wrong)
-    assert str(refused.value).startswith(f"parameter {said}")
+    assert str(refused.value).startswith(f"Settings.{said}")
+
+
+def test_each_parameter_has_the_text_the_limits_and_the_default_of_its_option(
+    heard: Heard,
+) -> None:
+    settings = with_parameters(heard.ros, heard.rclpy, Settings())
+    assert settings == Settings()
+    for one in declared(Settings):
+        about = heard.rclpy.describe_parameter(one.name)
+        limits = "" if one.limit is None else str(one.limit)
+        assert (about.description, about.additional_constraints) == (one.text, limits)
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("--scan", "bad topic"), "parameter scan_topics: got 'bad topic': Invalid topic name"),
-        (("--ros-args", "-p", "sensor:=['a','b','c']"), "parameter sensor: got ['a', 'b', 'c']"),
-        (("--ros-args", "-p", "least_deviation:=[1.0]"), "parameter least_deviation: got [1.0]"),
+        (("--ros-args", "-p", "sensor:=['a','b','c']"), "parameter sensor[0]: got ('a', 'b', 'c')"),
+        (("--ros-args", "-p", "least_deviation:=[1.0]"), "parameter least_deviation: got (1.0,)"),
     ],
 )
 def test_the_command_refuses_parameters_before_it_runs(words: tuple[str, ...], said: str) -> None:

@@ -461,7 +461,7 @@ def test_a_listener_who_hears_nothing_ends_at_ctrl_c(field) -> None:
         ((MAP, "--sensor", "0,0,0", "--watch", "tf"), 2, "watch: tf2_msgs is not installed"),
         ((MAP, "--sensor", "0,0,0", "--remember", ROOT / "README.md"), 2, "README.md: not JSON"),
         ((MAP, "--sensor", "0,0,0", "--remember", "no/where.json"), 2, "its folder is not there"),
-        ((MAP, "--sensor", "0,0,0", "--tf"), 2, "parameter tf: expected track, too"),
+        ((MAP, "--sensor", "0,0,0", "--tf"), 2, "--tf: expected track, too"),
         (("nowhere.yaml", "--sensor", "0,0,0"), 3, "nowhere.yaml: no such file"),
     ],
 )

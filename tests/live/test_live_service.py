@@ -416,12 +416,13 @@ def test_a_pose_is_scored_as_the_answer_has_it_and_settles_where_the_answer_is(
     for kind, end, distance in rays:
         assert (end is None) == (distance is None)
         assert kind != "agrees" or distance < 0.5 < 1 + distance
-    off = {**asked, "pose": f"{pose[0] + 0.2},{pose[1] - 0.15},{pose[2] + 0.05}"}
-    moved = http.post("/v1/score", params=off, content=body).json()
-    assert moved["misfit"] > fit["misfit"] + 0.5
-    settled = http.post("/v1/settle", params=off, content=body).json()
-    assert settled["misfit"] == pytest.approx(fit["misfit"], abs=0.05)
-    assert [settled["pose"][k] for k in "xy"] == pytest.approx(pose[:2], abs=0.1)
+    for x, y, turn in ((0.2, -0.15, 0.05), (-0.3, 0.2, -0.15), (0.0, 0.35, 0.12), (0.3, 0.2, 0.1)):
+        off = {**asked, "pose": f"{pose[0] + x},{pose[1] + y},{pose[2] + turn}"}
+        moved = http.post("/v1/score", params=off, content=body).json()
+        assert moved["misfit"] > fit["misfit"] + 0.5
+        settled = http.post("/v1/settle", params=off, content=body).json()
+        assert settled["log_likelihood"] > fit["log_likelihood"] - 0.5
+        assert [settled["pose"][k] for k in "xy"] == pytest.approx(pose[:2], abs=0.1)
 
 
 def test_layers_lie_over_the_map(http: httpx.Client, scans: Path) -> None:

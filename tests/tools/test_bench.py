@@ -12,7 +12,6 @@ from imgloc.geometry import uniform_thetas
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.likelihoods.cbml import cbml
-from imgloc.likelihoods.correlate import ENGINES, EXACT
 from imgloc.likelihoods.ght import ght
 from imgloc.options import Sensor
 from imgloc.pipeline import prepare
@@ -25,16 +24,12 @@ from tools.bench import (
     answer_times,
     as_row,
     bench_tables,
-    engine_rows,
     exhaustive_search,
-    floors,
     gathered,
     huge_map,
     in_turns,
     main,
-    seen,
     stack_cases,
-    tiled,
     vote_cases,
 )
 
@@ -80,18 +75,11 @@ def test_every_case_runs_and_counts_its_work(case):
     assert all(t.work > 0 and t.median > 0 for t in timings)
 
 
-def test_floors_say_why_they_are_not_known(tmp_path):
-    assert all(isinstance(value, str) for value in floors(tmp_path).values())
-
-
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
 @needs_compiler
-def test_floors_in_c(shared):
-    found = floors(shared / "problem")
-    assert set(found) == {"cbml", "ght", "ght-v"}
-    assert all(0 < value < 1000 for value in found.values())
+def test_a_search_in_c(shared):
     assert 1 < exhaustive_search(shared / "problem", 1) < 10_000
 
 
@@ -109,7 +97,6 @@ def test_the_least_of_some_runs_in_c_counts(tmp_path):
 @pytest.mark.parametrize(
     ("source", "expected"),
     [
-        ('#include <stdio.h>\nint main(void) { puts("1.25 ns per pose"); return 0; }', 1.25),
         ("int main(void) { return undeclared; }", "not compiled: "),
         (
             '#include <stdio.h>\nint main(void) { fputs("no map", stderr); return 3; }',
@@ -118,17 +105,12 @@ def test_the_least_of_some_runs_in_c_counts(tmp_path):
         ("int main(void) { return 0; }", "not understood: ''"),
     ],
 )
-def test_a_floor_is_known_or_says_why_not(tmp_path, source, expected):
+def test_a_search_that_is_not_known_says_why(tmp_path, source, expected):
     (tmp_path / "floor").mkdir()
     (tmp_path / "floor" / "cbml.c").write_text(source + "\n")
-    found = floors(tmp_path)
-    if isinstance(expected, float):
-        assert found["cbml"] == expected
-        assert exhaustive_search(tmp_path, 1).startswith("not understood")
-    else:
-        assert found["cbml"].startswith(expected)
-        assert len(found["cbml"]) > len("not compiled: ")
-    assert found["ght"] == "no ght.c"
+    found = exhaustive_search(tmp_path, 1)
+    assert found.startswith(expected)
+    assert len(found) > len("not compiled: ")
 
 
 def test_the_first_answer_is_compared_with_the_median():
@@ -147,27 +129,6 @@ def test_answers_are_measured(case):
         answer_times(case[0].grid, [], 1)
 
 
-def test_auto_beside_every_engine():
-    rows = engine_rows((30, 60), (10,), (16, 40), headings=2, repeats=2)
-    assert [(r["size"], r["rays"]) for r in rows] == [(30, 16), (30, 40), (60, 16), (60, 40)]
-    for row in rows:
-        assert set(row["ms"]) == {*ENGINES, "auto"}
-        assert row["ms"][row["best"]] == min(row["ms"][engine] for engine in EXACT)
-        assert row["ratio"] == row["ms"]["auto"] / row["ms"][row["best"]]
-    with pytest.raises(ConfigError):
-        engine_rows((30,), (10,), (16,), repeats=0)
-
-
-def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
-    grid = tiled(render(WORLDS["large"](), 0.1), 700)  # more than one tile
-    assert grid.occupied.shape == (700, 700)
-    lengths = np.hypot(*seen(grid, 25, 90).T)
-    assert lengths.shape == (90,)
-    assert lengths.max() == pytest.approx(2.5)
-    assert (lengths > 0).all()
-    assert lengths.min() < 2.4  # some end on walls
-
-
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -176,7 +137,7 @@ def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
         (["--scans", "0"], "scans must be at least 1, got 0"),
         (
             ["--parts", "cost"],
-            "expected one of costs, engines, localize, command, huge, got 'cost'",
+            "expected one of costs, localize, command, huge, got 'cost'",
         ),
     ],
 )
@@ -197,7 +158,6 @@ def test_the_tool_prints_what_is_asked_for(tmp_path, capsys):
     assert "p99 / median" in out
     assert "| large |" in out
     assert "| office |" in out
-    assert "auto / best" not in out
 
 
 def test_the_largest_map_by_itself(capsys):
@@ -211,21 +171,19 @@ def test_the_largest_map_by_itself(capsys):
 
 def test_the_tables_of_the_tool(case):
     timings = in_turns([("nothing", "call", 1, lambda: None)], 1)
-    rows = engine_rows((30,), (10,), (16,), headings=2, repeats=1)
     answers = {"A": {"median_ms": 2.0, "p99_over_median": 1.5, "prepare_s": 0.5, "over_c": 0.256}}
     answers["A"]["first_over_median"] = 1.25
     command = {"help": 0.1, "localize_help": 0.12, "localize": 0.5, "item_ms": 60.4}
     command["one_over_two"] = 0.92
     text = bench_tables(
-        {"machine": {"cores": 2}, "costs": [as_row(t) for t in timings], "engines": rows,
+        {"machine": {"cores": 2}, "costs": [as_row(t) for t in timings],
          "localize": answers, "command": {"B": command},
-         "floors": {"ght": 2.34567, "cbml": "no C compiler"}}
+         "yardstick": "no C compiler"}
     )  # fmt: skip
     assert "| nothing |" in text
-    assert f"| {rows[0]['best']} | {rows[0]['ratio']:.2f} |" in text
     assert "| A | 2 | 1.50 | 1.25 | 0.50 | 0.26 |" in text
     assert "| B | 0.10 | 0.12 | 0.50 | 60 | 0.92 |" in text
-    assert text.endswith("the same in C, ns: ght 2.346, cbml no C compiler")
+    assert text.endswith("one thread: no C compiler")
     tables = [part.splitlines() for part in text.split("\n\n")[1:-1]]
     for lines in tables:  # as many cells in each line
         assert len({line.count("|") for line in lines}) == 1

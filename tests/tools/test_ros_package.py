@@ -11,7 +11,6 @@ from command import MAPS, ROOT, spawn
 
 from imgloc.__about__ import __version__
 from imgloc.live.node import MODULES
-from tools import ship
 
 PACKAGE = ROOT / "tools" / "ros" / "imgloc_ros"
 
@@ -45,8 +44,3 @@ def test_the_launch_file_starts_the_node_with_what_was_said(tmp_path: Path) -> N
               "remember": str(tmp_path / "no" / "robot.json")}  # fmt: skip
     found = spawn(*made.words_of(given)[1:])
     assert (found.code, "its folder is not there" in found.err) == (2, True), found
-
-
-def test_colcon_builds_it_and_its_executable_runs() -> None:
-    pytest.importorskip("colcon_ros", reason="no colcon here: pip install 'imgloc[ship]'")
-    assert ship.build_ament() == "built by colcon, its executable runs"

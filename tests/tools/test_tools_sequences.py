@@ -40,7 +40,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_table_a_curve_and_a_track(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra plot")
     words = f"x {folder} --out {tmp_path} --starts 1 --seconds inf --kidnaps 0 --metres 2"
     monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker, no*;particle, no*"])
     sequences.main()
@@ -165,29 +164,3 @@ def test_old_maps_have_a_row_for_the_true_start_and_one_for_starts_from_anywhere
     assert true.split(" | ")[1:3] == ["true", "1.00"]
     assert anywhere.split(" | ")[1] == "2 from anywhere"
     assert anywhere.endswith("| 0 of 0 |")  # no run is 30 m long
-
-
-def test_amcl_runs_beside_the_tracker(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("amcl", reason="an extra of the tools")
-    monkeypatch.setattr(sys, "argv", ["old_maps", str(folder), "--starts", "1", "--amcl"])
-    assert old_maps.main() == 0
-    head, _, *rows = capsys.readouterr().out.splitlines()
-    assert head == f"| {old_maps.BESIDE} |"
-    cells = [row.strip("| ").split(" | ") for row in rows]
-    assert [row[1:3] for row in cells] == [
-        ["AMCL, 0.2", "true"], ["AMCL, 0.005", "true"], ["AMCL, 0.005", "1 from anywhere"],
-        ["tracker", "true"], ["tracker", "1 from anywhere"],
-    ]  # fmt: skip
-    assert [row[3] for row in (cells[1], cells[3])] == ["1.00", "1.00"]
-    assert all(0 <= float(row[3]) <= 1 for row in cells)
-
-
-def test_without_amcl_the_tools_say_what_is_missing(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("tools.amcl_run.find_spec", lambda _: None)
-    monkeypatch.setattr(sys, "argv", ["old_maps", str(folder), "--amcl"])
-    assert old_maps.main() == 2
-    assert "pip install 'imgloc[amcl]'" in capsys.readouterr().err

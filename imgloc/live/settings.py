@@ -1,0 +1,122 @@
+"""Settings of the ROS 2 node: options of the command, and ROS parameters of the same fields."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from imgloc.errors import ConfigError
+from imgloc.options import Flipped, Metres, Place, Radians
+from imgloc.pose import Pose2D, check_mount
+from imgloc.ranges import Checked, Doc, Matches, Within, option
+from imgloc.texts import pose
+
+_Frame = Annotated[str, Matches(r"/*[^/]+.*", 1000, "the name of a frame")]
+_Topic = Annotated[str, Matches(r".+", 1000, "the name of a topic")]
+
+
+def _poses(text: str) -> tuple[float, ...]:
+    """Numbers of poses, in threes."""
+    words = text.split(",")
+    threes = [",".join(words[k : k + 3]) for k in range(0, len(words), 3)]
+    return tuple(value for three in threes for value in pose(three))
+
+
+@dataclass(frozen=True)
+class Rules(Checked):
+    """How often a first pose is tried, and what of it is published."""
+
+    every: Annotated[float, Within(0, 3600, "seconds")] = option(
+        0.3, "Seconds between two scans that are tried."
+    )
+    metres: Annotated[
+        float, Within(0, 1000, "metres"), Doc("Metres of driving between two scans that are tried.")
+    ] = 0.3
+    #: scans that weigh the belief, or are blind, until it is given up
+    tries: Annotated[int, Within(2, 1_000_000, "scans")] = option(
+        100, "Scans without a confirmed pose after which the node gives up.", metavar="N"
+    )
+    max_age: Annotated[float, Within(0.01, 3600, "seconds")] = option(
+        2.0, "Age of a scan, seconds, from which its pose is not published any more."
+    )
+
+
+@dataclass(frozen=True)
+class Settings(Rules):
+    """What the node does; each field is a ROS parameter of its name."""
+
+    scan_topics: Sequence[_Topic] = option(
+        ("scan",),
+        "Topic of a laser. Repeat it for several lasers.",
+        "--scan",
+        metavar="TOPIC",
+        parse=lambda text: tuple(text.split(",")),
+        joined=True,
+    )
+    sensor: tuple[Place, ...] = option(
+        (),
+        "Pose of the laser on the robot: metres, metres, radians (or 90deg). Repeat it for several "
+        "lasers, in the order of their topics. [default: tf says it, if tf2_msgs is installed]",
+        metavar="X,Y,YAW",
+        parse=_poses,
+        joined=True,
+    )
+    flipped: Flipped = False
+    range_max: Annotated[float, Within(1e-3, math.inf, "metres")] = option(
+        math.inf,
+        "Reach of the sensor, metres: a reading of this length or more counts as no return. "
+        "[default: that of the messages]",
+    )
+    base_frame: Annotated[_Frame, Doc("Frame of the poses that are published.")] = "base_link"
+    map_frame: Annotated[_Frame, Doc("Frame of a map file; the topic map has its own.")] = "map"
+    scan_timeout: Annotated[
+        float, Within(0.01, 1e6, "seconds"), Doc("Seconds until a laser counts as silent.")
+    ] = 1.0
+    #: a localizer that starts from it needs room for its own errors
+    least_deviation: Annotated[
+        tuple[Metres, Radians],
+        Doc("Least standard deviations of /initialpose, metres and radians."),
+    ] = (0.1, 0.05)
+    track: bool = option(False, "Follow the robot, too, on the topics ~/pose and ~/map_odom.")
+    tf: bool = option(False, "With --track, also publish map -> odom on /tf, as AMCL does.")
+    standing: bool = option(
+        False,
+        "Publish the pose of a robot that has not moved, by one scan that is very sure: a second "
+        "look from the same place would tell nothing new.",
+    )
+    remember: str = option(
+        "",
+        "File that keeps the last sure pose. When the node starts, one scan is looked for on the "
+        "whole map: the pose is restored, refused, or the robot was moved.",
+        metavar="FILE",
+    )
+    watch: str = option(
+        "",
+        "A second opinion: say on ~/status and /diagnostics whether scans agree with the poses on "
+        "this topic, /amcl_pose, or of tf. The node then publishes no pose.",
+        metavar="TOPIC|tf",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        own = [name for name in ("track", "standing", "remember") if getattr(self, name)]
+        if self.watch and own:
+            raise ConfigError(f"Settings.watch: publishes no pose, so {own[0]} does not go with it")
+        if self.tf and not self.track:
+            raise ConfigError("Settings.tf: expected track, too: map -> odom is of the tracker")
+
+    @property
+    def mounts(self) -> list[Pose2D] | None:
+        """Where each laser sits; None if tf has to say it."""
+        if not self.sensor:
+            return None
+        if len(self.sensor) != 3 * len(self.scan_topics):
+            raise ConfigError(
+                f"sensor: got {len(self.sensor)} numbers, expected x, y, yaw for each of "
+                f"{len(self.scan_topics)} scan_topics"
+            )
+        at = self.sensor
+        mounts = [Pose2D(*at[k : k + 3]) for k in range(0, len(at), 3)]
+        for mount in mounts:
+            check_mount(mount, "sensor")
+        return mounts
