@@ -339,12 +339,14 @@ def drawing_to_maps(
             f"its scale is {unit:g} metres a unit, {said}; `walls` names the layers of walls, and "
             "`resolution` is another scale"
         )
-    return [
+    lost = sum(not any(f.has(d) for f in best) for d in leaves)
+    plans = [
         _finished(
             f, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture
         )
         for f in best
     ]
+    return [replace(plans[0], lost_doors=lost), *plans[1:]]
 
 
 def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
@@ -398,6 +400,11 @@ class Floor:
     def area(self) -> int:
         """Cells of the building."""
         return int(np.count_nonzero(self.inside))
+
+    def has(self, door: Door) -> bool:
+        """Whether a door is in the building, or in a wall of it."""
+        cell = self.sheet.pixel * self.sheet.parts
+        return self.sheet.on(door.closed, _grown(self.inside, round(_JOINED / cell)), cell)
 
 
 def _floors(

@@ -145,6 +145,7 @@ class FloorPlan:
     rooms: int | None = None  #: with closed doors, if the drawing tells which are doors
     scale: tuple[float, str] = (0.0, "")  #: metres a unit of the drawing, and how that was found
     guessed: bool = False  #: no name of a layer told which lines of the drawing are walls
+    lost_doors: int = 0  #: doors of the drawing that are in none of its maps
 
     @property
     def free_area(self) -> float:
@@ -226,6 +227,11 @@ class FloorPlan:
                 f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
                 f"gaps less than {_NARROW:g} m wide, or into spaces less than {_HOLLOW:g} m wide "
                 "without a door, as the two lines of a wall do, its hatching, or furniture"
+            )
+        elif self.lost_doors:
+            what = (
+                "a part of the building was most likely cut off: leaves of doors outside of what "
+                f"was found: {self.lost_doors}"
             )
         elif self.guessed:
             what = (

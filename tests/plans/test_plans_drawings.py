@@ -296,3 +296,15 @@ def test_real_drawings_become_maps_of_their_size_or_are_refused() -> None:
     for name in ("A-A1-10-01", "A-A2-10-03", "A-A2-10-06", "A-A3-10-02"):
         with pytest.raises(MapError, match=r"no line on it|cut off"):
             read_drawing(REAL / f"{name}.dxf")
+
+
+def test_a_door_that_is_in_no_map_is_warned_of(tmp_path: Path) -> None:
+    whole = dxf(tmp_path / "whole.dxf")
+    assert "doors outside" not in call("map", "plan", whole, "--out", tmp_path / "a.yaml").err
+    document = ezdxf.readfile(whole)
+    model = document.modelspace()  # of a wing without walls that enclose it
+    model.add_lwpolyline([(14000, 0), (14000, 900)], dxfattribs={"layer": "DOORS"})
+    model.add_arc((14000, 0), 900, 0, 90, dxfattribs={"layer": "DOORS"})
+    document.saveas(tmp_path / "wing.dxf")
+    run = call("map", "plan", tmp_path / "wing.dxf", "--out", tmp_path / "b.yaml")
+    assert "doors outside of what was found: 1" in run.err
