@@ -170,7 +170,7 @@ def write_npz(scans: ScanSet) -> bytes:
     stamps = own if scans.stamps is None else scans.stamps
     mounts = [scan.T_base_laser for scan in scans.scans]
     mount = np.array([(m.x, m.y, m.theta) if m else (np.nan,) * 3 for m in mounts])
-    names = list(dict.fromkeys(scan.laser for scan in scans.scans))
+    names = scans.lasers
     if len(names) > 1:
         arrays["laser"] = np.array([names.index(scan.laser) for scan in scans.scans])
     beside = {"poses": scans.poses, "odom": scans.odom}
