@@ -5,7 +5,6 @@
 """
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -15,7 +14,7 @@ from imgloc.equality import ByContent
 from imgloc.errors import ConfigError
 from imgloc.numbers import number
 from imgloc.pose import Pose2D, check_mount
-from imgloc.ranges import Checked, Doc, OneOf, Option, Some, Within, option
+from imgloc.ranges import Checked, Doc, Matches, OneOf, Option, Some, Within, option
 from imgloc.texts import FAR, byte_count, metres_degrees, pose
 
 if TYPE_CHECKING:
@@ -658,6 +657,12 @@ class Reading(TypedDict, total=False):
     max_pixels: int
 
 
+_ONE = r" *(\d{1,18}|\d{0,18}:\d{0,18}(:0{0,18}[1-9]\d{0,17})?) *"
+INDICES = (
+    "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between, such as 3,7,10:20"
+)
+
+
 @dataclass(frozen=True)
 class Chosen(Checked):
     """Which scans of a file are looked at: by default all.
@@ -668,7 +673,7 @@ class Chosen(Checked):
     ([3, 7, 10, 14, 18], [18, 20])
     """
 
-    index: str | None = option(
+    index: Annotated[str, Matches(f"{_ONE}(,{_ONE})*", 1 << 20, INDICES)] | None = option(
         None,
         "Take only these scans of a file, counted from 0: 3 or 3,7,10:20 (without 20) or ::10 "
         "(every tenth). May be repeated. [default: all]",
@@ -684,15 +689,6 @@ class Chosen(Checked):
     seed: Annotated[int, Within(0, 1e18, "")] = option(
         1, "Seed that draws the random scans of a file.", "--sample-seed"
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for word in () if self.index is None else self.index.split(","):
-            if not re.fullmatch(r"\s*(\d+|\d*:\d*(:0*[1-9]\d*)?)\s*", word, re.ASCII):
-                raise ConfigError(
-                    f"`index`: got {self.index!r}, expected indices from 0, ranges A:B "
-                    "(without B) or A:B:STEP, and commas between, such as 3,7,10:20"
-                )
 
     def of(self, count: int, name: str, most: int | None = None) -> list[int]:
         """Indices of the scans, of `count` in the file called `name`; ConfigError if there is none.

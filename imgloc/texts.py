@@ -20,8 +20,8 @@ def byte_count(text: str) -> int:
 
     Examples
     --------
-    >>> byte_count("512M"), byte_count("1.5 GiB")
-    (536870912, 1610612736)
+    >>> byte_count("512M"), byte_count("1.5 GiB"), byte_count("2k"), byte_count("1024")
+    (536870912, 1610612736, 2048, 1024)
     """
     found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
     if found is None:
@@ -75,6 +75,8 @@ def numbers(
     --------
     >>> numbers(3, rest=(2.0,), angles=(2,))("1, 2, 0.5")
     (1.0, 2.0, 0.5, 2.0)
+    >>> numbers(3, rest=(8.0, 9.0))("1,2,3,4")
+    (1.0, 2.0, 3.0, 4.0, 9.0)
     """
     most = most or least + len(rest)
     count = f"{least}" if least == most else f"{least} to {most}"

@@ -75,7 +75,7 @@ def test_a_command_is_listed_by_its_first_sentence(name: str) -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic",
+    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic", "matplotlib",
              "imgloc.pipeline", "imgloc.plans", "imgloc.lab.evaluation")  # fmt: skip
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
@@ -146,7 +146,8 @@ def test_messages_name_only_options_that_exist() -> None:
 
 
 def test_the_library_speaks_of_arguments_and_the_command_line_of_options() -> None:
-    commands = {"cli", "commands", "command.py", "options.py"}  # these name options, too
+    # These name options, too.
+    commands = {"cli", "commands", "command.py", "options.py", "settings.py"}
     for path in (ROOT / "imgloc").rglob("*.py"):
         if commands & set(path.relative_to(ROOT).parts):
             continue

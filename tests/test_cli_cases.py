@@ -94,7 +94,7 @@ def test_the_cases_give_what_their_kind_should(
         "localize visibility 07-range-max-zero/scans.bag --range-max 12 --scans-index 0": "pose",
         "map check 08-nan-origin/map.yaml --origin 0,0,0": "yaw 0.00 deg",
         "map check 10-grey-205-false-alarm/map.yaml": "many-greys",
-        "inspect 14-upside-down-and-turned/both.npz": "Pass --flipped --sensor 0,0,180deg",
+        "inspect 14-upside-down-and-turned/both.npz": "--flipped --sensor 0,0,180deg",
         "inspect 15-echo-text/lost_message.yaml": "lacks 1 message",
     }  # fmt: skip
     for words, text in said.items():

@@ -19,7 +19,7 @@ from imgloc.cli.app import program
 from imgloc.cli.command import RENAMED, Only, Without, command, value_of
 from imgloc.errors import ConfigError
 from imgloc.options import ALL_METHODS, Known, Options, Reading, Sensor
-from imgloc.ranges import declared, help_of
+from imgloc.ranges import declared
 
 
 def commands(
@@ -157,15 +157,6 @@ def test_a_text_that_is_no_value_is_refused_by_the_option(
     with pytest.raises(ConfigError) as error:
         value_of(field, text)
     assert str(error.value).startswith(says)
-
-
-def test_help_has_limits_and_defaults() -> None:
-    texts = {part.flag: help_of(part) for kind in (Options, Sensor) for part in declared(kind)
-             if part.option}  # fmt: skip
-    assert texts["--sigma"].endswith("  [0 to 10; default: 0.02]")
-    assert texts["--fov-deg"].endswith("  [0.01 to 360; default: 180]")
-    assert texts["--method"].endswith("  [default: fused]")
-    assert texts["--time-budget"].endswith("  [default: no limit]")
 
 
 def test_a_command_takes_fields_of_dataclasses() -> None:

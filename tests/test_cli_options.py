@@ -14,7 +14,7 @@ from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.scans import load_scans
 from imgloc.model import Pose2D, base_of
-from imgloc.texts import byte_count, numbers
+from imgloc.texts import byte_count
 
 WORLD = MAPS / "visibility.yaml"  # 140 x 200 cells of 0.1 m
 
@@ -299,27 +299,10 @@ def test_memory_is_told(scans: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert "the budget is 2048 MiB" in run.err + caplog.text
 
 
-@pytest.mark.parametrize(
-    ("text", "count"), [("1024", 1024), ("2k", 2048), ("1.5 GiB", 3 << 29), ("7MB", 7 << 20)]
-)
-def test_bytes(text: str, count: int) -> None:
-    assert byte_count(text) == count
-
-
 @pytest.mark.parametrize("text", ["", "-1", "M", "1e3", "2 GX"])
 def test_no_bytes(text: str) -> None:
     with pytest.raises(ConfigError):
         byte_count(text)
-
-
-def test_some_numbers_are_enough() -> None:
-    parse = numbers(3, rest=(8.0, 9.0))
-    assert parse("1,2,3") == (1.0, 2.0, 3.0, 8.0, 9.0)
-    assert parse("1,2,3,4") == (1.0, 2.0, 3.0, 4.0, 9.0)
-    assert parse("1,2,3,4,5") == (1.0, 2.0, 3.0, 4.0, 5.0)
-    for wrong in ("1,2", "1,2,3,4,5,6", "1,2,x"):
-        with pytest.raises(ConfigError, match="3 to 5"):
-            parse(wrong)
 
 
 def test_opencv_is_not_asked_to_read_a_mask(tmp_path: Path, scans: Path) -> None:

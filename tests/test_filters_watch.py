@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command import MAPS, spawn
+from command import MAPS, call
 
 import imgloc
 from imgloc import ScanSet
@@ -77,7 +77,7 @@ def test_track_says_what_it_thinks_of_a_trajectory(tmp_path, drive) -> None:
         for k, (stamp, (x, y, t)) in enumerate(zip(some.stamps, some.poses, strict=True))
     ]
     tum.write_text("\n".join(lines) + "\n")
-    found = spawn("track", MAPS / "double_wall.yaml", log, "--watch", tum, "--json")
+    found = call("track", MAPS / "double_wall.yaml", log, "--watch", tum, "--json")
     assert found.code == 0, found.err
     rows = [imgloc.io.own.parse_json(line.encode()) for line in found.out.splitlines()]
     assert rows[45]["watch"]["said"] == AGREES
@@ -85,6 +85,6 @@ def test_track_says_what_it_thinks_of_a_trajectory(tmp_path, drive) -> None:
     assert rows[-1]["watch"]["seconds"] > 1.0
     late = tmp_path / "late.tum"
     late.write_text("9999 0 0 0 0 0 0 1\n9999.5 0 0 0 0 0 0 1\n")
-    found = spawn("track", MAPS / "double_wall.yaml", log, "--watch", late)
+    found = call("track", MAPS / "double_wall.yaml", log, "--watch", late)
     assert found.code == 4, found
     assert "late.tum: no pose has a stamp before that of the last scan" in found.err

@@ -183,5 +183,5 @@ def test_an_example_of_each_command_runs() -> None:
 def _enough(command: str) -> list[str]:
     """What makes an example quick, or lets it write where the one before wrote."""
     more = {"atlas": ["--step", "3"], "batch": ["--workers", "1"], "report": ["--force"],
-            "simulate": ["--force"]}  # fmt: skip
+            "simulate": ["-n", "4", "--force"]}  # fmt: skip
     return more.get(command, [])

@@ -26,10 +26,10 @@ from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
+from imgloc.output.plots import blank
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
 from tools.filters import Searches, Trials, measure
-from tools.plots import blank
 from tools.script import parser_of, progress, table_lines
 
 #: Where the sensor sits on the robot whose odometry was recorded, if that is known: of duke_loop5

@@ -1,6 +1,6 @@
 """What may be wrong with scans, with a log of them or with a map: one table of causes.
 
-A cause has what is seen, what mends it, and by what it was found; who looks for it fills in values.
+A cause has a sentence and what mends it, and stands where it is tried; who does so fills in values.
 
 >>> found = cause("units", unit="centimetres", middle=250.0, beyond="", factor=0.01)
 >>> found.code, found.said
@@ -11,6 +11,7 @@ A cause has what is seen, what mends it, and by what it was found; who looks for
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -21,8 +22,6 @@ from imgloc.io.maps import DRAWN, SWAPPED
 from imgloc.model import OccupancyGrid
 from imgloc.options import Drawn, Shared
 
-READ, MOVED, TRIED = "readings and stamps", "scans against the odometry", "located in another way"
-
 
 @dataclass(frozen=True)
 class Cause:
@@ -30,12 +29,11 @@ class Cause:
 
     code: str  #: one word that names it, the same in every version
     text: str  #: a sentence or two
-    short: str = ""  #: the same for a picture
     options: str = ""  #: arguments that mend it, in backquotes; empty if there are none
+    short: str = ""  #: the text for a picture
     advice: str = ""  #: a sentence that advises them, if `text` does not
     found: bool = True  #: tried, and it helps; otherwise it is where to look
     serious: bool = True  #: whether a robot cannot be followed as long as it is so
-    by: str = READ  #: what found it
 
     @property
     def said(self) -> str:
@@ -98,18 +96,8 @@ class Given:
         return f"Leave out {flipped}" + (f", and try {' '.join(rest)}" if rest else "")
 
 
-def _warns(text: str, options: str = "", short: str = "", by: str = READ) -> Cause:
-    return Cause("", text, short, options, serious=False, by=by)
-
-
-def _wrong(text: str, options: str = "", short: str = "", by: str = READ) -> Cause:
-    return Cause("", text, short, options, by=by)
-
-
-def _look(text: str, short: str = "") -> Cause:
-    return Cause("", text, short, found=False, by=TRIED)
-
-
+_wrong = partial(Cause, "")
+_warns, _look = partial(Cause, "", serious=False), partial(Cause, "", found=False)
 _SCALED, _UPSIDE_DOWN = "`range_scale={factor:g}`", "`flipped=True`"
 AGREE = "scans and odometry agree only "
 _RAY_BY_RAY = "imgloc localize MAP SCANS `index=N` `explain=why.html` shows one ray by ray"
@@ -120,11 +108,12 @@ _ONCE_FOR_ALL = (
 _WHERE, OLD = "imgloc map changes MAP SCANS shows where", "an old map? see imgloc map changes"
 #: Causes by their codes; words after a slash tell apart several of one code.
 CAUSES: Mapping[str, Cause] = MappingProxyType({
+    # Seen in readings, stamps and odometry.
     "stamps": _warns("all stamps are the same: they are no times"),
     "order": _warns("{stamps} back"),
     "units": _wrong("half of the ranges are above {middle:.4g} m{beyond}: are they {unit}?",
                     _SCALED, "{unit}? " + _SCALED),
-    "units/moved": _wrong(AGREE + "if the ranges are {unit}", _SCALED, by=MOVED),
+    "units/moved": _wrong(AGREE + "if the ranges are {unit}", _SCALED),
     "codes": _wrong("{share:.1%} of the readings are {which}, and none is longer: it is the "
                     "sensor's code for a ray that met nothing", "`range_max={low:g}`"),
     "few": _wrong("{which} too few readings to be placed: {counts} {why}",
@@ -150,63 +139,65 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers": _wrong("{count} lasers in one file, and none says where it sits: keep one of "
                          "them"),
     "two-lasers/moved": _wrong("every other scan is of another laser, which sits elsewhere: keep "
-                               "one of them", by=MOVED),
+                               "one of them"),
     "two-lasers/topics": _warns("{count} lasers: this is {first}; `topic={names}` follows all of "
                                 "them"),
+    # Tried by laying scans over each other, as the odometry moved the sensor.
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "
-                       "poor, or on another clock, or is the place of the sensor wrong?", by=MOVED),
+                       "poor, or on another clock, or is the place of the sensor wrong?"),
     "flipped": _wrong(AGREE + "with the scans mirrored: the sensor {hangs} upside down",
-                      _UPSIDE_DOWN, by=MOVED),
+                      _UPSIDE_DOWN),
     "odometry-turn": _wrong(AGREE + "with theta of the odometry negated: left and right are "
-                            "swapped", by=MOVED),
+                            "swapped"),
     "mounting": _wrong(AGREE + "with the sensor turned by {turn:.0f} degrees on the robot",
-                       "`sensor={sensor}`", by=MOVED),
+                       "`sensor={sensor}`"),
     "view": _wrong(AGREE + "if the field of view is {right:.0f} degrees, not {view:.0f}: look at "
-                   "angle_min, angle_max and angle_increment", by=MOVED),
+                   "angle_min, angle_max and angle_increment"),
     "lag": _wrong(AGREE + "with the odometry of about {late:.2g} {side} each scan: their clocks "
-                  "differ, or one is written late", by=MOVED),
-    "poses": _warns(NOT_TRUE, by=TRIED),
+                  "differ, or one is written late"),
+    # Tried by locating some scans in another way, or seen in the map.
+    "poses": _warns(NOT_TRUE),
     "calibration": _wrong("{fits} this map far better {than} {calibrated}", "",
-                          "fits far better without {file}", TRIED),
+                          "fits far better without {file}"),
     "swapped": _wrong(SWAPPED, short="black and white of the map look swapped: `negate=True`"),
     "prior": _wrong("the best fit, {where}, lies outside {asked}: {right} right?", "",
-                    "fits where {asked} {leave} out", TRIED),
+                    "fits where {asked} {leave} out"),
     "mirrored": _wrong("{fits} at one place if mirrored: is the sensor upside down, or the map's "
-                       "image mirrored?", _UPSIDE_DOWN, "fits if mirrored: {advice}", TRIED),
+                       "image mirrored?", _UPSIDE_DOWN, "fits if mirrored: {advice}"),
     "mirrored/map": _wrong("scans fit the map only if mirrored, but agree with the odometry as "
                            "they are: the image of the map is mirrored", _UPSIDE_DOWN,
-                           "the map is mirrored", TRIED),
+                           "the map is mirrored"),
     "scale": _wrong("{fits} at one place if ranges are multiplied by {times:g}: {why} Try "
                     + _SCALED + "{cells}", _SCALED,
-                    "fits with ranges x {times:g}: {why}", TRIED),
+                    "fits with ranges x {times:g}: {why}"),
     "plan": _wrong("the map: " + DRAWN, "", "the map looks like a drawing: imgloc map plan"),
     "old": _look("{none} not fit this map well, but they agree about the way between them, and "
                  "{share:.0%} of their rays fit there: the map may be old. " + _WHERE + "; "
-                 + _RAY_BY_RAY, OLD),
+                 + _RAY_BY_RAY, short=OLD),
     "old/followed": _look("most scans do not fit this map by themselves, but {share:.0%} have a "
-                          "unique pose along the way: the map may be old. " + _WHERE, OLD),
+                          "unique pose along the way: the map may be old. " + _WHERE, short=OLD),
     "map": _look("{none} not fit this map{also}: is it the map of this place? imgloc which FOLDER "
                  "SCANS compares the maps of a folder; " + _RAY_BY_RAY,
-                 "another map? see imgloc which, imgloc map check"),
+                 short="another map? see imgloc which, imgloc map check"),
     "none": _look("imgloc localize finds such scans at one place of {name}, because it takes for "
                   "granted that they are from that map; imgloc which does not"),
     "thick": _wrong("the walls of this map are drawn thick, as on maps that no laser made. imgloc "
                     "took them to be {less:.2f} m thinner on each side, and each piece of them to "
                     "stand {off:.2f} m off. On such a map one scan is rarely enough. imgloc track "
                     "finds the robot over some metres; a map of the robot's own scans gives surer "
-                    "poses", "", "thick walls: imgloc track", TRIED),
+                    "poses", "", "thick walls: imgloc track"),
     "bent": _wrong("{fits} this map far better with {found}. " + _ONCE_FOR_ALL, "",
-                   "fits far better with {brief}: imgloc calibrate", TRIED),
+                   "fits far better with {brief}: imgloc calibrate"),
     "bent/walls": _wrong("most scans fit this map far better with {found}, so imgloc allowed for "
                          "that; a map drawn from the robot's own scans gives surer poses", "",
-                         "the walls of the map are bent", TRIED),
+                         "the walls of the map are bent"),
     "floor": _wrong("{fits} this map only without the {share:.0%} of the rays that end on {shape} "
                     "{metres:.1f} m away, which is on no map: is the laser tilted, so that it "
                     "meets the floor there? Level it, or cut its ranges", "",
-                    "{shape} {metres:.1f} m away is on no map: the floor?", TRIED),
+                    "{shape} {metres:.1f} m away is on no map: the floor?"),
     "start": _wrong("the first scan fits this map at {at}, {away:.1f} m from `start`: is it right?",
-                    "", "`start` is wrong", TRIED),
+                    "", "`start` is wrong"),
 })  # fmt: skip
 
 

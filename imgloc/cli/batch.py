@@ -3,7 +3,7 @@
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,7 +30,7 @@ from imgloc.options import (
     Reach,
     Sure,
 )
-from imgloc.ranges import OneOf, Within, option
+from imgloc.ranges import OneOf, Within, declared, option
 from imgloc.texts import byte_count
 
 if TYPE_CHECKING:
@@ -41,16 +41,15 @@ if TYPE_CHECKING:
 
 FAILED_ROWS = 5
 _EVERY = 60.0  # seconds between lines of progress without a terminal
+_GROUPS: Mapping[str, tuple[type, ...]] = {
+    "scans": (Logs, Chosen, Mounting), "options": (Options,), "known": (Known,), "drawn": (Drawn,),
+}  # fmt: skip
 #: Which field of a job an option is for, if it is not called as the option.
 _FIELDS = {
-    **dict.fromkeys(("topic", "range_scale", "flipped"), ("scans",)),
-    **dict.fromkeys(("scans_index", "sample", "sample_seed"), ("scans",)),
-    **dict.fromkeys(("max_bad", "straighten", "height", "odom"), ("scans",)),
-    **dict.fromkeys(("sensor", "range_max"), ("scans",)),
-    **dict.fromkeys(("method", "theta_step_deg", "top"), ("options",)),
-    **dict.fromkeys(("max_speed", "max_turn_deg"), ("options",)),
-    **dict.fromkeys(("near", "heading", "clearance"), ("known",)),
-    **dict.fromkeys(("thinner", "bent"), ("drawn",)),
+    field.flag: name
+    for name, kinds in _GROUPS.items()
+    for kind in kinds
+    for field in declared(kind)
 }
 
 
@@ -216,13 +215,13 @@ def _refuse(given: Given, job: str) -> None:
     """Refuse an option that is for other jobs alone."""
     from imgloc.runs.jobs import job_class
 
-    def notices(kind: "type[Job]", option: str) -> bool:
-        wanted = {*_FIELDS.get(option, (option,))}
-        return option not in kind.refused and any(f.name in wanted for f in fields(kind))
+    def notices(kind: "type[Job]", flag: str) -> bool:
+        name = flag.removeprefix("--").replace("-", "_")
+        own = any(field.name == _FIELDS.get(flag, name) for field in fields(kind))
+        return own and name not in kind.refused
 
     kinds = {name: job_class(name) for name in JOBS}
-    named = {flag: flag.lstrip("-").replace("-", "_") for flag in given if flag.startswith("-")}
-    of = {flag: [k for k in kinds if notices(kinds[k], name)] for flag, name in named.items()}
+    of = {flag: [name for name, kind in kinds.items() if notices(kind, flag)] for flag in given}
     opt.refuse_others(given, {flag: theirs for flag, theirs in of.items() if theirs}, {job})
 
 

@@ -1,11 +1,10 @@
 """`imgloc serve`, `imgloc open`: answers over HTTP, and a page to look at them."""
 
 import logging
-import math
 import os
 import re
 import socket
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Typed
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
@@ -87,6 +87,7 @@ def open(  # noqa: A001 (the command's name)
     scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,
     port: Port = option(0, "Port to listen at. [default: any that is free]"),
     kept: opt.Kept,
+    typed: Typed,
 ) -> None:
     """Look at a map and scans in the browser: answers in place, and why.
 
@@ -103,7 +104,8 @@ def open(  # noqa: A001 (the command's name)
         how = inputs.as_recorded(logs, chosen, mounting)
         there = inputs.desk_of(**vars(taken)).scans(scans_path, how)
         mounting.check(there.scans.scans)
-        words = (*_typed(logs), *_typed(mounting))
+        known = {field.flag for kind in (Logs, Mounting) for field in declared(kind)}
+        words = tuple("=".join(some) for flag, some in typed.items() if flag in known)
         indices = None if len(there.indices) == there.total else tuple(there.indices)
         opened = ScansHeld(there.name, there.scans, (), words, indices)
     core, paths = _core([map_path], reading, taken, kept)
@@ -113,23 +115,6 @@ def open(  # noqa: A001 (the command's name)
         webbrowser.open(address)
 
     _run(lambda: Service(core, given=Begun(paths, opened)), _LOCAL, port, show)
-
-
-def _typed(group: Any) -> list[str]:
-    """The options of a group that are not as by default, as they are typed."""
-    out = list[str]()
-    kind: Any = type(group)
-    for part in declared(kind):
-        value = getattr(group, part.name)
-        if part.option is not None and value != part.default:
-            value = math.degrees(value) if part.in_degrees else value
-            text = (
-                ",".join(map(str, value))
-                if isinstance(value, Iterable) and not isinstance(value, str)
-                else f"{value}"
-            )
-            out.append(part.flag if value is True else f"{part.flag}={text}")
-    return out
 
 
 def _check_installed() -> None:

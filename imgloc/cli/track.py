@@ -15,6 +15,7 @@ from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.options import Drawn, Followed, Logs, Mounting, Options, Shared
+from imgloc.pose import Pose2D
 from imgloc.ranges import Checked, option
 from imgloc.texts import pose
 
@@ -25,12 +26,10 @@ if TYPE_CHECKING:
     from imgloc.filters.follow import Moment, Tracking
     from imgloc.filters.watch import Opinion
     from imgloc.io.scanset import ScanSet
-    from imgloc.model import FloatArray, OccupancyGrid, Pose2D
+    from imgloc.model import FloatArray, OccupancyGrid
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
     from imgloc.runs.opening import Desk, ScanFiles
-else:
-    Pose2D = Any
 
 
 @dataclass(frozen=True)
@@ -290,7 +289,7 @@ def _aged(
     Scans of a log that is still being written are not kept.
     """
     from imgloc.cli.inputs import aged_words
-    from imgloc.model import Pose2D, compose
+    from imgloc.model import compose
 
     seen = ((scans.scans[m.index], m.pose) for m in moments if m.pose is not None and len(scans))
     return aged_words(grid, [
@@ -367,14 +366,13 @@ def _watched(
 
     from imgloc.filters.watch import Watch
     from imgloc.io.tum import load_tum
-    from imgloc.model import Pose2D
 
     stamps, poses = load_tum(path, logs.max_bad)
     if scans.stamps is None or not stamps[0] <= np.nanmax(scans.stamps):
         raise ScanError(f"{display(path)}: no pose has a stamp before that of the last scan")
     watch, taken = Watch(features, options), np.asarray(scans.stamps)
 
-    def odom(k: int) -> "Pose2D | None":
+    def odom(k: int) -> Pose2D | None:
         return None if scans.odom is None else Pose2D(*scans.odom[k])
 
     def opinion(moment: "Moment") -> "Opinion":

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from imgloc.answers.diagnose import doubts
 from imgloc.answers.logcheck import located
 from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.errors import ScanError
@@ -80,8 +79,7 @@ class Evaluate(Checked):
         scans, features = run.taken.scans, run.features
         some, answers = located(features, scans, run.options)
         said = [(answer.verdict, answer.evidence) for answer in answers]
-        given = self.scans.given.beside(item.path, features.grid)
-        found = doubts(features, some, said, run.options, given)
+        found = run.doubts(some, said)
         poses = scans.poses
         if (
             not found
@@ -89,7 +87,7 @@ class Evaluate(Checked):
             and poses_fit(features.grid, scans.scans, poses) is False
         ):
             return [f"{run.taken.name}: {NOT_TRUE}"]
-        return [doubt.text for doubt in found]
+        return [doubt.said for doubt in found]
 
     def _simulated(self, item: Item, desk: Desk, grid: OccupancyGrid) -> tuple[ScanSet, Source]:
         path, sensor = item.path, self.sensor

@@ -12,7 +12,6 @@ import importlib
 import math
 import signal
 import time
-from array import array
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future
@@ -140,7 +139,7 @@ def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
         plain = list(default) if isinstance(default, tuple) else default
         value = node.declare_parameter(name, plain, about).value
         if isinstance(default, tuple):
-            value = tuple(value or ()) if isinstance(value, list | array | None) else (value,)
+            value = (value,) if isinstance(value, str | int | float) else tuple(value or ())
         elif isinstance(default, float) and type(value) is int:
             value = float(value)
         said[name] = value

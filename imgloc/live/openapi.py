@@ -18,8 +18,6 @@ from imgloc.texts import numbers, pose
 
 STACKS = tuple(opt.METHODS)
 LAYERS = ("bmap", "distance", "vmap")
-_LIST = r"(\d{1,9}|\d{0,9}:\d{0,9}(:0{0,9}[1-9]\d{0,8})?)"
-_INDEX_WORDS = "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between"
 ID = Matches(f"[0-9a-f]{{{2 * ID_BYTES}}}", 2 * ID_BYTES, "an id")
 
 
@@ -34,10 +32,8 @@ MAP = _own(
     Annotated[str, NAME],
 )
 _SCANS_ID = _own("scans", "Scans that were sent before, instead of a body.", Annotated[str, ID])
-_CHOSEN = _own(
-    "index",
-    f"Only these scans of a file: {_INDEX_WORDS}.",
-    Annotated[str, Matches(f"{_LIST}(,{_LIST}){{0,99}}", 2000, _INDEX_WORDS)],
+_CHOSEN = option(
+    opt.Chosen, "index", name="index", text=f"Only these scans of a file: {opt.INDICES}."
 )
 _SCALE = option(opt.Logs, "scale")
 _SENSOR = option(opt.Mounting, "sensor", limit=Within(-MOUNTED, MOUNTED, "metres"))

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -268,12 +268,8 @@ def map_of(
     name = name or _called(files)
     if not NAME.admits(name):
         raise MapError(f"name: got {shown(name)!r}, expected {NAME}")
-    reading: Reading = {
-        "resolution": how.get("resolution"), "origin": how.get("origin"), "mode": how.get("mode"),
-        "semantics": how.get("semantics") or "nav2", "negate": how.get("negate"),
-        "occupied_thresh": how.get("occupied_thresh"), "free_thresh": how.get("free_thresh"),
-        "max_pixels": bounds.pixels,
-    }  # fmt: skip
+    given = {key: how.get(key) for key in Reading.__annotations__}
+    reading = cast(Reading, given | {"max_pixels": bounds.pixels})
     lossy = bool(how.get("allow_lossy"))
     return name, map_of_bytes(image, yaml, name, allow_lossy=lossy, **reading)
 

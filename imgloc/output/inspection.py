@@ -13,25 +13,13 @@ from imgloc.errors import as_options
 from imgloc.features.scanpoints import scan_xy
 from imgloc.io.kinds import Kind
 from imgloc.model import FloatArray, LaserScan, plain
-from imgloc.output.canvas import (
-    INK,
-    PALETTE,
-    SHADE,
-    TRUTH,
-    Canvas,
-    Image,
-    legend,
-    round_length,
-    scale_bar,
-    text,
-    text_width,
-)
+from imgloc.output.canvas import INK, PALETTE, TRUTH, Colour
 from imgloc.output.pictures import Picture
+from imgloc.output.plots import blank, ink
 from imgloc.output.tables import percent
 
 _FIRST = ("LaserScan", "PointCloud2", "Odometry", "OccupancyGrid", "TFMessage")
 _SHOWN = 8  # kinds of lines, or topics
-_PANEL, _GAP, _TITLE = 460, 20, 30  # pixels
 
 
 def log_row(
@@ -174,88 +162,33 @@ def _on_map(facts: Mapping[str, Any]) -> str:
 
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:
     """Draw the path of the odometry, one scan, and the histogram of ranges."""
-    panels = [
-        _titled(_path(report.path), _path_title(report)),
-        _titled(_scan(scan), f"scan {report.scan}: {int(scan.valid.sum()):,} readings"),
-        _titled(_bars(report, scan.range_max, shown=_shows(report, scan)), "ranges, metres"),
-    ]
-    gap = np.full((panels[0].shape[0], _GAP, 3), 255, np.uint8)
-    row = np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
-    head = np.full((_TITLE, row.shape[1], 3), 255, np.uint8)
-    text(head, name[-120:], 8, 20)
-    colours = [(PALETTE[1], "way"), (PALETTE[2], "first pose"), (PALETTE[0], "last pose; sensor"),
-               (INK, "readings")]  # fmt: skip
-    colours += [(TRUTH, "range_max")] if _shows(report, scan) else []
-    return Picture(legend(np.concatenate((head, row)), colours))
+    figure, pixels = blank(14.4, 5.6, layout="constrained")
+    figure.suptitle(name[-120:])
+    way, seen, ranges = figure.subplots(1, 3)
+    path, (counts, edges) = report.path, report.histogram
+    metres = 0.0
+    if path is not None and len(path) > 1:
+        metres = float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())
+        way.plot(*path[:, :2].T, color=ink(PALETTE[1]), label="way")
+        _pose(way, path[0], PALETTE[2], "first pose")
+        _pose(way, path[-1], PALETTE[0], "last pose")
+    what = "odometry" if report.facts["odometry"] else "poses"
+    way.set_title("no odometry" if path is None else f"{what}: {metres:.1f} m")
+    seen.plot(*scan_xy(scan)[scan.valid].T, ".", color=ink(INK), markersize=3, label="readings")
+    _pose(seen, (0.0, 0.0, 0.0), PALETTE[3], "sensor")
+    seen.set_title(f"scan {report.scan}: {int(scan.valid.sum()):,} readings")
+    for axes in (way, seen):
+        axes.set(xlabel="x / m", ylabel="y / m", aspect="equal", adjustable="datalim")
+    ranges.stairs(counts, edges, fill=True, color=ink(INK))
+    ranges.set(title="ranges", xlabel="range / m", ylabel="readings", xlim=(0.0, edges[-1] * 1.03))
+    if scan.range_max <= edges[-1] * 1.02:
+        ranges.axvline(scan.range_max, color=ink(TRUTH), label="range_max")
+    figure.legend(loc="outside lower left", ncols=6, frameon=False)
+    return Picture(pixels())
 
 
-def _shows(report: LogReport, scan: LaserScan) -> bool:
-    """Whether range_max is on the axis of the ranges."""
-    return bool(scan.range_max <= report.histogram[1][-1] * 1.02)
-
-
-def _path_title(report: LogReport) -> str:
-    if report.path is None:
-        return "no odometry"
-    metres = float(np.hypot(*np.diff(report.path[:, :2], axis=0).T).sum())
-    return f"{'odometry' if report.facts['odometry'] else 'poses'}: {metres:.1f} m"
-
-
-def _titled(image: Image, title: str) -> Image:
-    head = np.full((_TITLE, image.shape[1], 3), 255, np.uint8)
-    text(head, title, 4, 20)
-    return np.concatenate((head, image))
-
-
-def _panel(xy: FloatArray) -> tuple[Canvas, FloatArray]:
-    """A canvas that points (N, 2) fit, and where its lower left corner is."""
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    side = max(float((high - low).max()) * 1.1, 1.0)
-    image = np.full((_PANEL, _PANEL, 3), 255, np.uint8)
-    image[[0, -1]] = SHADE
-    image[:, [0, -1]] = SHADE
-    return Canvas(image, _PANEL / side), (low + high) / 2 - side / 2
-
-
-def _path(path: FloatArray | None) -> Image:
-    if path is None or len(path) < 2:
-        return _panel(np.zeros((1, 2)))[0].image
-    canvas, corner = _panel(path[:, :2])
-    at = path[:, :2] - corner
-    canvas.lines(at[None], PALETTE[1], 2)
-    for k, colour in ((0, PALETTE[2]), (-1, PALETTE[0])):
-        canvas.robot(at[k, 0], at[k, 1], path[k, 2], colour, 6)
-    scale_bar(canvas)
-    return canvas.image
-
-
-def _scan(scan: LaserScan) -> Image:
-    xy = np.concatenate((np.zeros((1, 2)), scan_xy(scan)))
-    canvas, corner = _panel(xy)
-    canvas.dots(xy[1:] - corner, INK, 1.6)
-    canvas.robot(-corner[0], -corner[1], 0.0, PALETTE[0], 6)
-    scale_bar(canvas)
-    return canvas.image
-
-
-def _bars(report: LogReport, range_max: float, *, shown: bool) -> Image:
-    counts, edges = report.histogram
-    image = np.full((_PANEL, _PANEL, 3), 255, np.uint8)
-    base, left, wide = _PANEL - 30, 10, _PANEL - 20
-    scale = wide / max(float(edges[-1]), 1e-9)
-    tall = (base - 20) / max(float(counts.max(initial=0.0)), 1.0)
-    for count, low, high in zip(
-        counts.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=True
-    ):
-        x0, x1 = (left + round(edge * scale) for edge in (low, high))
-        image[base - round(count * tall) : base, x0 : max(x0 + 1, x1 - 1)] = INK
-    image[base : base + 2, left : left + wide] = INK
-    step = round_length(max(float(edges[-1]), 1e-6) / 3)
-    for k in range(int(edges[-1] / step + 1e-9) + 1):
-        x = left + round(k * step * scale)
-        image[base : base + 7, min(x, _PANEL - 1)] = INK
-        label = f"{k * step:g}"
-        text(image, label, min(x, _PANEL - 4 - text_width(label)), base + 22)
-    if shown:
-        image[20:base, min(left + round(range_max * scale), _PANEL - 2)] = TRUTH
-    return image
+def _pose(axes: Any, pose: Sequence[float] | FloatArray, colour: Colour, label: str) -> None:
+    """A triangle that points where the robot looks."""
+    x, y, theta = (float(value) for value in pose)
+    marker = (3, 0, math.degrees(theta) - 90)
+    axes.plot([x], [y], linestyle="", marker=marker, markersize=13, color=ink(colour), label=label)

@@ -36,11 +36,10 @@ from imgloc.output.canvas import (
     map_canvas,
     marker_size,
     outlined,
-    round_length,
     text,
-    text_width,
 )
 from imgloc.output.pictures import Picture
+from imgloc.output.plots import blank, ink
 from imgloc.runs.opening import quiet_libraries
 
 COLOURS: dict[str, Colour] = {
@@ -201,39 +200,23 @@ def _arrow(canvas: Canvas, xy: FloatArray, theta: float, size: float) -> None:
 def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Image:
     """The distance of each unique pose from the true one, over time."""
     f = max(1.0, width / 1500)
-    size, left, low, top = round(12 * f), round(64 * f), round(34 * f), round(44 * f)
-    high = round(150 * f)
-    out = np.full((top + high + low, width, 3), 255, np.uint8)
+    figure, pixels = blank(width / 100, 2.4 * f, layout="constrained")
+    axes = figure.subplots()
     stamps = np.array([m.stamp for m in moments])
     timed = bool(np.isfinite(stamps).all() and stamps[-1] > stamps[0])
     x = stamps - stamps[0] if timed else np.array([float(m.index) for m in moments])
-    most = max(float(found.ape.max()), 0.01)
-    wide = width - left - round(20 * f)
-    scale = wide / max(float(x[-1]), 1e-9), high / (1.05 * most)
-    text(out, found.words, round(8 * f), round(18 * f), size=size)
-    text(out, "error / m", round(8 * f), top - round(8 * f), size=size)
-    for value in np.arange(0, 1.05 * most, round_length(most / 3)):
-        y = top + high - round(value * scale[1])
-        out[y : y + 1, left : left + wide] = SHADE
-        text(out, f"{value:g}", left - text_width(f"{value:g}", size) - round(8 * f), y + size // 3,
-             size=size)  # fmt: skip
-    step = round_length(max(float(x[-1]), 1e-9) / 8)
-    for k in range(int(x[-1] / step + 1e-9) + 1):
-        column = left + round(k * step * scale[0])
-        out[top : top + high, column : column + 1] = SHADE
-        label = f"{k * step:g}" + ((" s" if timed else " (scan)") if k == 0 else "")
-        text(
-            out, label, column - text_width(label, size) // 2, top + high + round(20 * f), size=size
-        )
-    spots = np.column_stack((left + x[found.which] * scale[0], top + high - found.ape * scale[1]))
-    pairs = zip(itertools.pairwise(spots), itertools.pairwise(found.which), strict=True)
-    for ends, (k, n) in pairs:
-        if moments[n].index == moments[k].index + 1:
-            line = np.rint(np.array(ends)).astype(np.int32)
-            cv2.polylines(out, [line], False, TRUTH, max(1, round(1.5 * f)), cv2.LINE_AA)
-    for u, v in np.rint(spots).astype(int).tolist():
-        cv2.circle(out, (u, v), max(1, round(1.5 * f)), TRUTH, cv2.FILLED, cv2.LINE_AA)
-    return out
+    after = np.diff([moments[k].index for k in found.which], prepend=math.inf) == 1
+    parts = np.split(np.arange(len(found.which)), np.flatnonzero(~after)[1:])
+    for part in parts:
+        axes.plot(x[found.which[part]], found.ape[part], ".-", color=ink(TRUTH))
+    axes.set_title(found.words, fontsize=10 * f, loc="left", wrap=True)
+    axes.set_xlabel("time / s" if timed else "scan", fontsize=9 * f)
+    axes.set_ylabel("error / m", fontsize=9 * f)
+    axes.set(xlim=(0.0, max(float(x[-1]), 1e-9)), ylim=(0.0, 1.05 * max(found.ape.max(), 0.01)))
+    axes.tick_params(labelsize=8 * f)
+    axes.grid(color=ink(SHADE))
+    out = pixels()
+    return np.pad(out, ((0, 0), (0, width - out.shape[1]), (0, 0)), constant_values=255)
 
 
 def draw_belief(canvas: Canvas, belief: Belief) -> Image:

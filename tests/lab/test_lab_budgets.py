@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from budgets import check_done, check_refused, words
-from command import MAPS, call, spawn
+from command import MAPS, call
 from test_features_budget import office, peak
 
 from imgloc.errors import ConfigError
@@ -139,20 +139,6 @@ def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
     assert "ght on" in run.err
     assert "beam on 130 x 160 cells of 0.1 m" in run.err
     assert "Fit(" not in run.err  # nothing has been measured
-
-
-def test_the_real_command(folder: Path) -> None:
-    run = spawn(*words([*ATLAS, 2], folder), "--memory-budget", "200M")
-    assert (run.code, run.out) == (2, "")
-    assert run.err.startswith("imgloc: error: ")
-    assert not list(folder.iterdir())
-
-
-def test_the_places_of_an_atlas_are_counted_before_they_are_looked_at(tmp_path: Path) -> None:
-    given = ("atlas", CURVED, "--out", tmp_path / "a.png", "--step", 0.02, "--headings", 72)
-    run = call(*given, "--memory-budget", "100M")
-    assert (run.code, run.out) == (2, "")
-    assert re.search(r"--step: [0-9,]+ poses at places 0.02 m apart, .*larger step", run.err)
 
 
 def test_maps_that_are_held_count_beside_the_next(tmp_path: Path) -> None:

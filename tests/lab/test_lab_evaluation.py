@@ -13,7 +13,6 @@ from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import (
     PAPER_STEPS_DEG,
     Trial,
-    bytes_of,
     evaluate,
     method_options,
     run_trials,
@@ -205,17 +204,6 @@ def test_evaluate_is_the_same_up_to_its_cost(scans: ScanSet) -> None:
     assert a.parameters == b.parameters
     with pytest.raises(ConfigError, match="true pose"):
         evaluate(prepare(room()), ScanSet(scans.scans), method_options("ght"))
-
-
-def test_bytes_are_those_of_the_arrays_a_method_needs() -> None:
-    features = prepare(room(), ready=False)
-    assert bytes_of(features) == 0  # the map itself is not counted
-    points = len(features.surface)
-    surface = points * (16 + 8 + 8 + 1)
-    assert bytes_of(features) == surface
-    _ = features.visibility
-    walls = features.walls.nbytes  # on which its rays are cast
-    assert bytes_of(features) == surface + features.n_psi * points * 4 + walls
 
 
 def test_the_paper_s_steps_are_known_for_every_stack() -> None:

@@ -132,7 +132,6 @@ def test_refuses_what_cannot_be_measured(options, message):
 
 
 def test_picture_has_a_panel_per_quantity_and_axis():
-    pytest.importorskip("matplotlib")
     picture = complexity.draw(counted())
     assert picture.dtype == np.uint8
     assert picture.ndim == 3

@@ -8,12 +8,10 @@ import pytest
 
 from imgloc.model import OccupancyGrid, OrientedPoints, Pose2D
 from tools.paper.figures import (
-    SETTINGS,
     cross,
     draw_comparison,
     draw_fields,
     draw_scan,
-    figure,
     lettered,
     ring,
     scene,
@@ -88,8 +86,3 @@ def test_a_maximum_is_marked_where_it_is_not_the_true_pose(scenes):
         blue = (image == BLUE).all(axis=2).astype(np.uint8)
         marked.append(cv2.connectedComponents(cv2.dilate(blue, np.ones((5, 5), np.uint8)))[0] - 1)
     assert marked == [0, len(s.stacks)]
-
-
-def test_figures_are_named_after_the_papers():
-    assert list(SETTINGS) == ["fig1", "fig2", "fig4", "fig5"]
-    assert figure("fig4").ndim == 3

@@ -108,18 +108,3 @@ def test_nothing_is_overwritten_unless_forced(folder):
     assert done.code == 1
     assert re.search(r"results\.json.*exists", done.err)
     assert (folder / "results.json").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("-n", 1), "at least 2 trials"),
-        (("--seed", -1), "a seed of 0 or more"),
-        (("--worlds", "moon"), "invalid choice: 'moon'"),
-    ],
-)
-def test_wrong_numbers_are_refused_at_once(tmp_path, arguments, message):
-    done = run(main, "--out", tmp_path / "x", *arguments)
-    assert done.code == 2
-    assert message in done.err
-    assert not (tmp_path / "x").exists()

@@ -40,7 +40,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_table_a_curve_and_a_track(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra plot")
     words = f"x {folder} --out {tmp_path} --starts 1 --seconds inf --kidnaps 0 --metres 2"
     monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker, no*;particle, no*"])
     sequences.main()

@@ -97,14 +97,3 @@ def test_two_maps_of_one_building_count_as_one(folder):
     named = json.loads(done.out)["named with 0.5 or more"]
     assert named["right"]["hits"] == 2
     assert named["silent without its map"]["hits"] == 2  # none is left
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [(("-n", 0), 2, "at least 1"), (("--range-max", 0), 2, "reach"), (("nowhere",), 2, "nowhere")],
-)
-def test_refusals_are_one_line(folder, words, code, said):
-    done = run(main, "which", folder, *words)
-    assert (done.code, done.out) == (code, "")
-    assert done.err.count("\n") == 1
-    assert said in done.err

@@ -103,7 +103,6 @@ def test_simulated_scans_are_judged():
 
 
 def test_the_diagram_has_a_dot_where_mass_and_share_meet():
-    pytest.importorskip("matplotlib")
     told = [Judged(np.array([0.75]), np.array([k < 3]), "ambiguous", False, 0.0) for k in range(4)]
     image = draw_reliability({"simulated": reliability(told)[0]})
     blue = (image == (178, 114, 0)).all(axis=2)  # BGR
@@ -143,7 +142,6 @@ def test_the_tool_refuses_in_one_line_before_it_measures(words, code, said):
 
 
 def test_the_tool_writes_numbers_and_a_picture(tmp_path):
-    pytest.importorskip("matplotlib")
     grid = render(WORLDS["curved"](), 0.1)
     save_map(tmp_path / "map.yaml", grid)
     save_scans(tmp_path / "scans.npz", simulate(grid, 2, 3, Sensor()))

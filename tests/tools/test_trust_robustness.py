@@ -203,18 +203,3 @@ def test_the_tool_measures_recorded_sets(recorded_set, tmp_path):
     short = run_tool(*words, "--range-max", 0.4, "--force")
     assert (short.code, "| here | 0 % " in short.out) == (0, True)
     assert json.loads(out.read_text())["range_max"] == 0.4
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        (("-n", 0, "--sets", "map.yaml"), 2, "at least 1"),
-        (("-n", 0), 2, "at least 1"),
-        (("--sets", "nowhere/map.yaml"), 4, "scans.npz"),
-        (("--threads", 0), 2, "at least 1"),
-    ],
-)
-def test_the_tool_refuses_in_one_line(words, code, said):
-    done = run_tool(*words)
-    assert (done.code, done.err.count("\n")) == (code, 1)
-    assert said in done.err

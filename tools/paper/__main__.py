@@ -14,7 +14,6 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -111,8 +110,7 @@ def reproduce(
     ratios = measure_ratios(min(timed, n), repeats, seed, trials=n, worlds=worlds, advance=advance)
     pictures = {name: encode_png(figure(name, threads, advance)) for name in SETTINGS}
     grown = measure(repeats=0 if quick else 3, seed=seed, progress=lambda _: advance())
-    with suppress(ConfigError):  # without matplotlib the table of exponents says it all
-        pictures["complexity"] = encode_png(draw(grown))
+    pictures["complexity"] = encode_png(draw(grown))
     said = claims(rows) + growth_claims(grown)
     samples, fits = [asdict(s) for s in grown.samples], [asdict(f) for f in grown.fits]
     results = {

@@ -25,10 +25,10 @@ from imgloc.likelihoods.beam import beam
 from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
+from imgloc.output.plots import blank
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.paper.work import pixels_added, ray_cells, votes_cast
-from tools.plots import COLOURS, blank
 from tools.script import one_of
 
 METHODS = ("cbml", "cbml-o", "ght", "ght-v", "beam")
@@ -329,11 +329,14 @@ _LABELS = {
 }
 
 
-def draw(complexity: Complexity) -> npt.NDArray[np.uint8]:
-    """Draw all samples as one log-log picture, (H, W, 3) BGR; the paper's exponents in brackets.
+COLOURS = {
+    "cbml": "#d55e00", "cbml-o": "#e69f00", "ght": "#56b4e9", "ght-v": "#0072b2", "beam": "#555555",
+}  # fmt: skip
+"""Of the methods, in all curves."""
 
-    As :func:`tools.plots.blank` it raises ConfigError without matplotlib.
-    """
+
+def draw(complexity: Complexity) -> npt.NDArray[np.uint8]:
+    """Draw all samples as one log-log picture, (H, W, 3) BGR; the paper's exponents in brackets."""
     axes = list(dict.fromkeys(s.axis for s in complexity.samples))
     rows = [q for q in _ROWS if any(f.quantity == q for f in complexity.fits)]
     figure, pixels = blank(3.4 * len(axes), 2.8 * len(rows), layout="constrained", dpi=110)

@@ -46,7 +46,6 @@ from imgloc.model import to_json
 from imgloc.numbers import FILE
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS
-from tools.plots import blank
 from tools.recorded import in_world, recorded_sets
 from tools.script import at_least_one, ended, parser_of, progress
 from tools.trust.completeness import completeness_table, of_place
@@ -125,11 +124,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def to_draw(given: argparse.Namespace) -> None:
-    """Refuse a --picture that is there, or cannot be drawn, before the work."""
-    if given.picture is not None:
-        if not given.force:
-            refuse_existing(given.picture)
-        blank(1, 1)
+    """Refuse a --picture that is there, before the work."""
+    if given.picture is not None and not given.force:
+        refuse_existing(given.picture)
 
 
 def buildings_of(given: argparse.Namespace) -> dict[str, str]:

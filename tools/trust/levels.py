@@ -31,9 +31,9 @@ from imgloc.geometry import pose_errors, poses_of
 from imgloc.model import FloatArray
 from imgloc.numbers import Origin, write
 from imgloc.options import Known
+from imgloc.output.plots import blank
 from imgloc.search.priors import prior_of
 from imgloc.search.protection import HEADING, POSITION, SHARES, Spread
-from tools.plots import blank
 from tools.script import table_lines
 from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
 from tools.trust.reliability import RIGHT, WRONG

@@ -10,7 +10,7 @@ from imgloc import Localization, MapFeatures, Options, Pose2D, ScanSet, localize
 from imgloc.geometry import pose_errors, poses_of, wrap
 from imgloc.lab.evaluation import Share, share
 from imgloc.model import BoolArray, FloatArray
-from tools.plots import blank
+from imgloc.output.plots import blank
 
 RIGHT = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is right: the separation of hypotheses."""
@@ -175,11 +175,6 @@ def draw_reliability(groups: Mapping[str, Sequence[Bin]]) -> npt.NDArray[np.uint
     ----------
     groups : mapping of str to bins
         Of :func:`reliability`, by name.
-
-    Raises
-    ------
-    ConfigError
-        If matplotlib is not installed.
     """
     figure, pixels = blank(6.2, 6.2, dpi=100)
     axes = figure.add_axes((70 / 620, 60 / 620, 520 / 620, 520 / 620))
