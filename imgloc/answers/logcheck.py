@@ -270,7 +270,8 @@ def _about_readings(scans: ScanSet, findings: list[Cause]) -> dict[str, Any]:
         "sensor": None if mount is None else [mount.x, mount.y, math.degrees(mount.theta)],
     }
     raw = np.concatenate([scan.ranges for scan in some])
-    middle = float(np.median(raw[np.isfinite(raw) & (raw > 0)])) if (raw > 0).any() else 0.0
+    known = raw[np.isfinite(raw) & (raw > 0)]
+    middle = float(np.median(known)) if len(known) else 0.0
     if unit := unit_of(middle):
         _add(findings, "units", unit=unit, middle=middle, beyond="", factor=UNITS[unit])
         return facts

@@ -163,7 +163,7 @@ def _on_map(facts: Mapping[str, Any]) -> str:
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:
     """Draw the path of the odometry, one scan, and the histogram of ranges."""
     figure, pixels = blank(14.4, 5.6, layout="constrained")
-    figure.suptitle(name[-120:])
+    figure.suptitle(name[-120:], parse_math=False)
     way, seen, ranges = figure.subplots(1, 3)
     path, (counts, edges) = report.path, report.histogram
     metres = 0.0

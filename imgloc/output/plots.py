@@ -1,5 +1,6 @@
 """Curves, histograms and panels by matplotlib, as pictures like all others."""
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -18,7 +19,9 @@ def blank(width: float, height: float, **options: Any) -> tuple[Any, Callable[[]
     canvas = FigureCanvasAgg(figure)
 
     def pixels() -> Image:
-        canvas.draw()
+        with warnings.catch_warnings():  # names may have letters that no font here has
+            warnings.simplefilter("ignore", UserWarning)
+            canvas.draw()
         image = cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR)
         return np.asarray(image, np.uint8)
 
