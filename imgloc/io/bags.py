@@ -45,7 +45,7 @@ TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 8  # topics in a message
 _FAR = 1e9  # metres that a robot is from where its odometry began
 _SAVES = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
-_TILTED = math.cos(math.radians(5))
+LEVEL = math.cos(math.radians(5))
 _HINTS = {
     "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
 }
@@ -339,7 +339,7 @@ def _assemble(
     mounts = mounted(frames, laser, source.child if source else "", stamps)
     poses = [None if mounts is None else mounts.get(t) for t in stamps.tolist()]
     stated = MOUNTED.get() is not None
-    level = [stated if pose is None else abs(pose[2, 2]) >= _TILTED for pose in poses]
+    level = [stated if pose is None else abs(pose[2, 2]) >= LEVEL for pose in poses]
     if mounts is not None:
         if not any(level) and mounts:
             _LOG.warning("%s: its laser is tilted in tf; imgloc takes scans for level", name)

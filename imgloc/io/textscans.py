@@ -13,10 +13,10 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
-from imgloc.io.bags import LASER, ODOMETRY, TF, Beside, choose_topic
+from imgloc.io.bags import LASER, LEVEL, ODOMETRY, TF, Beside, choose_topic
 from imgloc.io.files import PathLike, display
 from imgloc.io.lasers import lasers_of
-from imgloc.io.messages import fields_of, frame_name
+from imgloc.io.messages import fields_of, frame_name, matrix_of, planar
 from imgloc.io.scanset import (
     MAX_RAYS,
     Entry,
@@ -27,6 +27,7 @@ from imgloc.io.scanset import (
     scalar,
 )
 from imgloc.io.text import MAX_TEXT, open_text, read_text
+from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
 from imgloc.robot.recording import Recording
 
@@ -78,7 +79,7 @@ def read_jsonl(
     for where, item in found:
         try:
             entry = _json(item, where) if isinstance(item, str) else item
-            entry, on = unwrapped(entry)
+            entry, on = unwrapped(entry, where)
             if on is None or "ranges" in entry:
                 plain = _object(entry, where)
                 scans.setdefault(on or "", []).append((where, plain))
@@ -143,7 +144,7 @@ def _listed(whole: Any) -> list[Any]:
     return inside[0] if len(inside) == 1 and "ranges" not in whole else [whole]
 
 
-def unwrapped(entry: Any) -> tuple[Any, str | None]:
+def unwrapped(entry: Any, where: str = "scan") -> tuple[Any, str | None]:
     """The fields of a scan by the names of LaserScan, and the topic of what they came in.
 
     Examples
@@ -158,12 +159,15 @@ def unwrapped(entry: Any) -> tuple[Any, str | None]:
     inner = next((entry[key] for key in _WRAPS if isinstance(entry.get(key), dict)), None)
     if inner is not None and "ranges" not in entry:
         topic = entry.get("topic")
-        return unwrapped(inner)[0], str(topic) if topic is not None else "a topic"
+        return unwrapped(inner, where)[0], str(topic) if topic is not None else "a topic"
     plain = {_SNAKE.sub(lambda m: f"_{m[0].lower()}", str(key)): v for key, v in entry.items()}
     foxglove = "start_angle" in plain
     plain = {_NAMES.get(key, key): value for key, value in plain.items()}
-    if foxglove:
-        plain.pop("pose", None)  # of the sensor in its own frame
+    if foxglove:  # the sensor in its frame, which may be the robot's
+        pose = plain.pop("pose", None)
+        if isinstance(pose, dict) and "orientation" in pose:
+            with fields_of(ScanError, f"{where}: pose"):
+                plain |= _turned(plain, matrix_of(pose), where)
     stamp = plain.get("timestamp")
     if "angles" in plain and isinstance(stamp, list) and len(stamp) == 2:  # of CSM
         plain["stamp"] = stamp[0] + 1e-6 * stamp[1]
@@ -175,6 +179,15 @@ def unwrapped(entry: Any) -> tuple[Any, str | None]:
     elif stamp is not None and "stamp" not in plain:
         plain["stamp"] = _seconds(stamp)
     return plain, None
+
+
+def _turned(plain: Mapping[str, Any], pose: FloatArray, where: str) -> dict[str, Any]:
+    """The mount of a scan by its pose (4, 4), and its ends, clockwise if it is upside down."""
+    if abs(pose[2, 2]) < LEVEL:
+        raise ScanError(f"{where}: pose: tilted by more than 5 degrees, expected a level laser")
+    ends = ("angle_min", "angle_max") if pose[2, 2] < 0 else ()
+    mount = None if np.array_equal(pose, np.eye(4)) else list(planar(pose))
+    return {"mount": mount} | {key: -plain[key] for key in ends}
 
 
 def _seconds(stamp: Any) -> Any:
@@ -191,7 +204,7 @@ def read_jsonl_line(text: str, where: str, topic: str | None = None) -> ScanSet 
 
     None for a line of another topic.
     """
-    entry, on = unwrapped(_json(text, where))
+    entry, on = unwrapped(_json(text, where), where)
     if on is None and topic is not None:
         raise ScanError(f"{where}: has one laser, expected no topic, got {topic}: leave it out")
     if on is not None and ("ranges" not in entry or on not in lasers_of(topic or on)):
