@@ -143,6 +143,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers/topics": _warns("{count} lasers: this is {first}; `topic={names}` follows all of "
                                 "them"),
     # Tried by laying scans over each other, as the odometry moved the sensor.
+    "two-lasers/apart": _warns("{count} lasers: this is {first}; `topic` picks one of {names}"),
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "
                        "poor, or on another clock, or is the place of the sensor wrong?"),
