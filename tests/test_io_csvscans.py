@@ -97,7 +97,7 @@ def exported(kind: str) -> str:
         rows = [[t, math.degrees(a), 1000 * r, 47] for t, scan in zip(STAMPS, RANGES, strict=True)
                 for a, r in zip(ANGLES, scan, strict=True)]  # fmt: skip
         if "semicolons" in kind:
-            head, mark = ["Scan", "Angle (deg)", "Distance [cm]"], ";"
+            head, mark = ["Scan", "Winkel_Grad", "Distance [cm]"], ";"
             rows = [[k, f"{math.degrees(a):.6f}", f"{100 * r:.1f}"] for k, scan in enumerate(RANGES)
                     for a, r in zip(ANGLES, scan, strict=True)]  # fmt: skip
             return table(head, rows, mark).replace(".", ",")

@@ -32,10 +32,11 @@ _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
 _SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
 _PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
 _BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "deg": math.pi / 180, "degrees": math.pi / 180, "ms": 1e-3,
+_DEGREE = math.pi / 180
+_UNITS = {"mm": 1e-3, "cm": 1e-2, "deg": _DEGREE, "degrees": _DEGREE, "grad": _DEGREE, "ms": 1e-3,
           "us": 1e-6, "ns": 1e-9}  # fmt: skip
 _UNIT = re.compile(
-    r"[\s_.(\[]+(mm|cm|m|metres|meters|deg|degrees|rad|radians|ms|us|ns|s|sec)[)\]]?$"
+    r"[\s_.(\[]+(mm|cm|m|metres|meters|deg|degrees|grad|rad|radians|ms|us|ns|s|sec)[)\]]?$"
 )
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
 _ROLES = (
@@ -46,8 +47,8 @@ _ROLES = (
     (re.compile(r"(%|__)?(time|timestamp|t)$"), "time"),
     (re.compile(r"(.*[./])?(header[./_])?(seq|frame_id|scan_time)$|.*intensit.*|quality|"
                 r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$"), "aside"),
-    (re.compile(r"angu?le|bearing|azimuth|phi|alpha"), "angle"),
-    (re.compile(r"range|dist|distance|r"), "range"),
+    (re.compile(r"angu?le|winkel|bearing|azimuth|phi|alpha"), "angle"),
+    (re.compile(r"range|dist|distance|abstand|r"), "range"),
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
@@ -216,7 +217,7 @@ class _Table:
             by, roles, ranges = {**by, "time": 0}, [("time", 0, 1.0), *roles[1:]], ranges[1:]
         if len(ranges) == 1 and len(self.rows) > 1:
             found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
-            how = "its ranges with commas between, or two columns, angle and range"
+            how = "its ranges with commas between, or two columns called angle and range"
             raise ScanError(f"{self.name}: {found}, {how}")
         places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
         for key, wanted in _PLACES.items():
