@@ -18,7 +18,7 @@ from typing import Any
 from imgloc.answers.truth import NOT_TRUE
 from imgloc.io.calibration import calibration_path
 from imgloc.io.files import PathLike, display
-from imgloc.io.maps import DRAWN, SWAPPED
+from imgloc.io.maps import DRAWN, SLIP, SWAPPED
 from imgloc.model import OccupancyGrid
 from imgloc.options import Drawn, Shared
 
@@ -161,6 +161,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "poses": _warns(NOT_TRUE),
     "calibration": _wrong("{fits} this map far better {than} {calibrated}", "",
                           "fits far better without {file}"),
+    "centimetres": _wrong(SLIP, short="is the map's resolution in centimetres?"),
     "swapped": _wrong(SWAPPED, short="black and white of the map look swapped: `negate=True`"),
     "prior": _wrong("the best fit, {where}, lies outside {asked}: {right} right?", "",
                     "fits where {asked} {leave} out"),

@@ -5,7 +5,7 @@ import logging
 import math
 import re
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
@@ -218,11 +218,8 @@ def read_bag_map(path: PathLike) -> OccupancyGrid:
 
 def topics_of(path: PathLike) -> list[tuple[str, str, int]]:
     """Topic, type and number of messages of what is in a bag."""
-    counts: dict[tuple[str, str], int] = {}
     with _opened(path, display(path)) as bag:
-        for c in bag.connections:
-            counts[c.topic, c.msgtype] = counts.get((c.topic, c.msgtype), 0) + c.msgcount
-    return [(topic, kind, count) for (topic, kind), count in sorted(counts.items())]
+        return [(topic, kind, n) for (topic, kind), n in _counts(bag)]
 
 
 @contextlib.contextmanager
@@ -282,11 +279,15 @@ def _files(file: Path, name: str) -> tuple[Path, list[Path]]:
 
 def _by_type(bag: Any, kind: str) -> dict[str, int]:
     """Topics of a type, and how many messages each has."""
-    counts: dict[str, int] = {}
-    for connection in bag.connections:
-        if connection.msgtype == kind:
-            counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
-    return {topic: n for topic, n in sorted(counts.items()) if n}
+    return {topic: n for (topic, type_), n in _counts(bag) if n and type_ == kind}
+
+
+def _counts(bag: Any) -> list[tuple[tuple[str, str], int]]:
+    """Topics with their types, and how many messages each has."""
+    counts = Counter[tuple[str, str]]()
+    for c in bag.connections:
+        counts[c.topic, c.msgtype] += c.msgcount
+    return sorted(counts.items())
 
 
 def _choose(bag: Any, topic: str | None, name: str) -> str:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError, OutputError
+from imgloc.io.bags import LASER, ODOMETRY, TF
 from imgloc.io.files import PathLike, display, write_bytes_atomic
 from imgloc.io.lasers import scan_topics
 from imgloc.io.messages import scan_to_msg
@@ -28,11 +29,7 @@ from imgloc.io.scans import write_npz
 from imgloc.io.scanset import ScanSet
 
 _ANY = "JSON lines can contain such scans: end the name in .jsonl"
-_TOPICS = {
-    "/odom": "nav_msgs/msg/Odometry", "/tf": "tf2_msgs/msg/TFMessage",
-    "/tf_static": "tf2_msgs/msg/TFMessage",
-}  # fmt: skip
-_SCAN = "sensor_msgs/msg/LaserScan"
+_TOPICS = {"/odom": ODOMETRY, "/tf": TF[0], "/tf_static": TF[0]}
 _LIMITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min",
            "range_max")  # fmt: skip
 
@@ -132,7 +129,7 @@ def mcap_of(scans: ScanSet) -> bytes:
         place = Path(folder, "scans")
         with Writer(place, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             topics = scan_topics(scans.lasers)
-            kinds = {**dict.fromkeys(topics.values(), _SCAN), **_TOPICS}
+            kinds = {**dict.fromkeys(topics.values(), LASER), **_TOPICS}
             to = {t: bag.add_connection(t, kind, typestore=store) for t, kind in kinds.items()}
             seen = {(scan.laser, scan.T_base_laser) for scan in scans.scans}
             places, placed = Counter(laser for laser, _ in seen), set[str]()
