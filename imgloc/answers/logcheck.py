@@ -372,7 +372,8 @@ def _about_odometry(
 def _changes(scans: ScanSet) -> bool:
     """Whether the last scans see something else than the first ones."""
     pairs = ((0, -1), (0, len(scans) // 2), (len(scans) // 3, -1))
-    shares = [overlap(scans[a], scans[b], Pose2D(0.0, 0.0)) for a, b in pairs]
+    alike = [(scans[a], scans[b]) for a, b in pairs if scans[a].laser == scans[b].laser]
+    shares = [overlap(one, other, Pose2D(0.0, 0.0)) for one, other in alike]
     return bool(np.nanmin([1.0, *shares]) < AGREES)
 
 

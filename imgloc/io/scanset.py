@@ -116,6 +116,11 @@ class ScanSet(ByContent):
         return zip(self.scans, () if self.poses is None else self.poses, strict=True)
 
     @property
+    def lasers(self) -> list[str]:
+        """Names of the lasers, in the order in which they come."""
+        return list(dict.fromkeys(scan.laser for scan in self.scans))
+
+    @property
     def poses_are_odometry(self) -> bool:
         """Whether one set of poses is both: a log that has no other may hold either in it."""
         both = self.poses is not None and self.odom is not None
