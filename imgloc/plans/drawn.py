@@ -300,7 +300,7 @@ class Sheet:
         return np.asarray((out > 0) & pillar[labels])
 
     def on(self, point: FloatArray, cells: BoolArray, cell: float) -> bool:
-        """Whether a point of the drawing is on some cells."""
+        """Return whether a point of the drawing is on some cells."""
         column, row = np.floor((point * self.unit - self.corner) / cell).astype(int).tolist()
         here = 0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]
         return here and bool(cells[row, column])
@@ -402,7 +402,7 @@ class Floor:
         return int(np.count_nonzero(self.inside))
 
     def has(self, door: Door) -> bool:
-        """Whether a door is in the building, or in a wall of it."""
+        """Return whether a door is in the building, or in a wall of it."""
         cell = self.sheet.pixel * self.sheet.parts
         return self.sheet.on(door.closed, _grown(self.inside, round(_JOINED / cell)), cell)
 

@@ -79,7 +79,7 @@ def read_drawing(path: Path) -> Drawing:
 
 
 def _drawn(points: FloatArray) -> bool:
-    """Whether points are a line that can be drawn: an infinite one cannot."""
+    """Return whether points are a line that can be drawn: an infinite one cannot."""
     return len(points) > 1 and bool((abs(points) < _FAR).all() and np.ptp(points, axis=0).any())
 
 
