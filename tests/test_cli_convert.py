@@ -66,3 +66,26 @@ def test_what_a_form_cannot_hold_is_one_error(log: Path, tmp_path: Path) -> None
     assert call("convert", tmp_path / "u.npz", tmp_path / "u.jsonl").code == 0
     np.testing.assert_allclose(load_scans(tmp_path / "u.jsonl")[0].angles, uneven.angles)
     assert not (tmp_path / "u.csv").exists()
+
+
+@pytest.mark.parametrize("ending", ["jsonl", "npz", "mcap", "csv"])
+def test_lasers_of_a_robot_stay_apart(tmp_path: Path, ending: str) -> None:
+    pytest.importorskip("rosbags", reason="writes bags: the extra ros")
+    # The second one is turned, and moves on the robot.
+    mounts = [Pose2D(0.25, 0, 0), Pose2D(-0.25, 0, 3)] * 2 + [Pose2D(0.25, 0, 0), Pose2D(-1, 0, 3)]
+    scans = tuple(
+        LaserScan(np.full(31, 1.0 + k), ANGLES, 0.25, 8.5, 5.0 + k // 2, m, laser="01"[k % 2])
+        for k, m in enumerate(mounts)
+    )
+    odom = np.repeat(np.arange(3.0), 2)[:, None] * (1, 0, 0.1)
+    save_scans(tmp_path / "a.npz", ScanSet(scans, odom=odom))
+    run = call("convert", tmp_path / "a.npz", out := tmp_path / f"b.{ending}")
+    if ending == "csv":
+        assert (run.code, "names the laser" in run.err) == (2, True)
+        return
+    back = load_scans(out, topic="/laser_0/scan,/laser_1/scan" if ending == "mcap" else None)
+    assert len({scan.laser for scan in back.scans}) == 2
+    for one, other in zip(scans, back.scans, strict=True):
+        assert other.ranges[0] == one.ranges[0]
+        np.testing.assert_allclose(list(one.T_base_laser), list(other.T_base_laser), atol=1e-9)
+    np.testing.assert_allclose(back.odom, odom, atol=1e-9)

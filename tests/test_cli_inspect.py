@@ -187,6 +187,14 @@ def test_each_disturbance_is_named(shared: Path, tmp_path: Path, what: str, name
     assert case.code in codes(call("inspect", *beside, file, "--json", "--no-cache"))
 
 
+def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> None:
+    scans = turned(math.pi, 2)(recorded(shared, next(iter(LOGS))))
+    named = tuple(replace(scan, laser="ab"[k % 2]) for k, scan in enumerate(scans.scans))
+    imgloc.save_scans(tmp_path / "log.npz", replace(scans, scans=named))
+    run = call("inspect", tmp_path / "log.npz", "--json", "--no-cache")
+    assert rows(run.out)[-1]["next"].startswith("imgloc track")
+
+
 def text_of(scans: ScanSet, robot: bool = True) -> list[str]:
     """ROBOTLASER1 lines; without the robot's poses if those are not to be known."""
     lines = []

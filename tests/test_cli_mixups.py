@@ -86,7 +86,7 @@ def test_a_map_with_black_and_white_swapped_is_told_by_check_and_localize(
     check = call("map", "check", tmp_path / "m.yaml")
     assert "swapped: free space is as thin as walls" in check.out
     run = call("localize", tmp_path / "m.yaml", scans, OFF)
-    assert "black and white look swapped; try --negate with --occupied-thresh 0.9" in run.err
+    assert "try --no-negate, else --negate with --occupied-thresh 0.9" in run.err
     mend = ("--negate", "--occupied-thresh", 0.9)
     run = call("localize", tmp_path / "m.yaml", scans, OFF, "--json", *mend)
     assert [row["verdict"] for row in rows(run.out)] == ["unique", "unique"]
@@ -96,8 +96,8 @@ def test_a_map_with_black_and_white_swapped_is_told_by_check_and_localize(
 
 
 def test_a_resolution_that_makes_a_doll_s_house_is_told(tmp_path: Path) -> None:
-    run = call("map", "check", "curved", "--resolution", "0.005")
-    assert "is the resolution, 0.005 m per cell, right?" in run.out
+    for cell, said in (("0.005", "0.005 m per cell, right?"), ("5", "Try --resolution 0.05")):
+        assert said in call("map", "check", "curved", "--resolution", cell).out
     assert "scale" not in call("map", "check", "curved").out
 
 

@@ -58,9 +58,11 @@ def exported(kind: str) -> str:
         return table(head, [[*row, *values, *RANGES[k], *n] for k, row in enumerate(stamps)])
     if kind == "plotjuggler":
         names = [*FIELDS, "header/stamp", *(f"ranges[{k}]" for k in n)]
-        head = ["__time", "/odom/pose/pose/position/x", *(f"/scan/{w}" for w in names)]
-        rows = [[t, "", *values, t, *RANGES[k]] for k, t in enumerate(STAMPS)]
-        other = [[t + 0.01, 5.5, *[""] * len(names)] for t in STAMPS]
+        pose = [f"/odom/pose/pose/{w}" for w in ("position/x", "position/y", "orientation/z",
+                                                 "orientation/w")]  # fmt: skip
+        head = ["__time", *pose, *(f"/scan/{w}" for w in names)]
+        rows = [[t, *[""] * 4, *values, t, *RANGES[k]] for k, t in enumerate(STAMPS)]
+        other = [[t + 0.01, 5.5, 2.5, 0.6, 0.8, *[""] * len(names)] for t in STAMPS]
         return table(head, [row for pair in zip(rows, other, strict=True) for row in pair])
     if kind == "pandas":
         head = ["", "timestamp_ms", *(f"range_{k}" for k in n)]
@@ -95,7 +97,7 @@ def exported(kind: str) -> str:
         rows = [[t, math.degrees(a), 1000 * r, 47] for t, scan in zip(STAMPS, RANGES, strict=True)
                 for a, r in zip(ANGLES, scan, strict=True)]  # fmt: skip
         if "semicolons" in kind:
-            head, mark = ["Scan", "Angle (deg)", "Distance [cm]"], ";"
+            head, mark = ["Scan", "Winkel_Grad", "Distance [cm]"], ";"
             rows = [[k, f"{math.degrees(a):.6f}", f"{100 * r:.1f}"] for k, scan in enumerate(RANGES)
                     for a, r in zip(ANGLES, scan, strict=True)]  # fmt: skip
             return table(head, rows, mark).replace(".", ",")
@@ -137,6 +139,8 @@ def test_a_table_of_somebody_is_read(tmp_path: Path, kind: str) -> None:
     assert len(scans) == N
     np.testing.assert_allclose([scan.ranges for scan in scans.scans], RANGES, atol=1e-3)
     np.testing.assert_allclose([scan.angles for scan in scans.scans], [ANGLES] * N, atol=1e-5)
+    if kind == "plotjuggler":
+        np.testing.assert_allclose(scans.odom[1], (5.5, 2.5, 2 * math.asin(0.6)))
     if "down" in kind or "semicolons" in kind or "names" in kind or kind in ("blanks", "tabs"):
         assert scans.stamps is None
     else:

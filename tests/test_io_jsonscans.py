@@ -10,7 +10,9 @@ import pytest
 from command import call
 
 from imgloc.errors import ScanError
+from imgloc.io.messages import pose_fields
 from imgloc.io.scans import load_scans
+from imgloc.model import Pose2D
 
 N, RANGES = 4, [1.5, 2.5, 3.5]
 ANGLES = [-0.5, 0.0, 0.5]
@@ -82,6 +84,18 @@ def test_json_of_other_programs(tmp_path: Path, form: str, whole: str) -> None:
     assert (scans.odom is not None) == (form == "csm")
 
 
+def test_the_pose_of_foxglove_is_where_the_sensor_sits(tmp_path: Path) -> None:
+    said, path = foxglove(0, {"sec": 5, "nsec": 0}), tmp_path / "a.json"
+    said["pose"]["orientation"] = {"x": 0.6, "y": 0.8, "z": 0, "w": 0}  # upside down
+    path.write_text(json.dumps(said))
+    (scan,) = load_scans(path).scans
+    np.testing.assert_allclose(scan.angles, [0.5, 0.0, -0.5])
+    assert scan.T_base_laser.theta == pytest.approx(2 * math.atan2(0.8, 0.6))
+    path.write_text(json.dumps(said).replace('"w": 0', '"w": 1'))
+    with pytest.raises(ScanError, match="scan 0: pose: tilted by more than 5 degrees"):
+        load_scans(path)
+
+
 def test_a_table_of_ranges_in_one_object(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     said = {"angle_min": -0.5, "angle_max": 0.5, "range_max": 9.0, "stamps": [5.0, 5.1]}
@@ -91,16 +105,31 @@ def test_a_table_of_ranges_in_one_object(tmp_path: Path) -> None:
     np.testing.assert_allclose(scans.stamps, [5.0, 5.1])
 
 
-def test_other_topics_of_rosbridge_are_passed_over(tmp_path: Path) -> None:
-    path = tmp_path / "a.jsonl"
-    odom = {"op": "publish", "topic": "/odom", "msg": {"pose": {}}}
-    scans = [FORMS["rosbridge"](k) for k in range(N)]
-    path.write_text("\n".join(map(json.dumps, [odom, *scans, odom])))
-    assert len(load_scans(path)) == N
-    other = {**scans[0], "topic": "/rear"}
-    path.write_text("\n".join(map(json.dumps, [*scans, other])))
-    with pytest.raises(ScanError, match="scans of several topics, /rear, /scan; keep the lines"):
-        load_scans(path)
+def test_a_recording_of_rosbridge_has_its_lasers_and_odometry(tmp_path: Path) -> None:
+    path, pose = tmp_path / "a.jsonl", pose_fields(Pose2D(2.0, 1.0, 0.5))
+    odom = {"header": message(1)["header"], "child_frame_id": "base", "pose": {"pose": pose}}
+    links = [
+        {"header": odom["header"] | {"frame_id": "base"}, "child_frame_id": laser,
+         "transform": pose_fields(Pose2D(x, 0.0, 0.0))}
+        for laser, x in (("laser", 0.25), ("back", -0.25))
+    ]  # fmt: skip
+    rear = {**(m := message(1)), "header": {**m["header"], "frame_id": "back"}}
+    said = {"/x": {"data": {}}, "/odom": odom, "/tf_static": {"transforms": links}, "/rear": rear}
+    lines = [{"topic": topic, "msg": entry} for topic, entry in said.items()]
+    path.write_text(
+        "\n".join(map(json.dumps, [*(FORMS["rosbridge"](k) for k in range(N)), *lines]))
+    )
+    scans = load_scans(path)
+    assert (len(scans), scans[1].T_base_laser) == (N, Pose2D(0.25, 0.0, 0.0))
+    np.testing.assert_allclose(scans.odom[1], (2.0, 1.0, 0.5))
+    assert load_scans(path, topic="/scan,/rear").lasers == ["/scan", "/rear"]
+    assert load_scans(path, topic="/rear")[0].T_base_laser.x == -0.25
+    run = call("inspect", path, "--topic", "/rear")
+    assert all(
+        said in run.out for said in ("/odom (1 Odometry)", "taken       scans /rear, odometry")
+    )
+    with pytest.raises(ScanError, match=r"no scans on /no; it has /rear \(1\), /scan"):
+        load_scans(path, topic="/no")
 
 
 def test_one_bad_scan_of_an_array_is_left_out(tmp_path: Path) -> None:

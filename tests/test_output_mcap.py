@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from collections import Counter, defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,16 +92,18 @@ def test_a_unique_pose_is_a_pose_and_a_transform(tmp_path) -> None:
     belief = Belief(np.array([[1.0, 2.0, 0.5]]), np.ones(1), np.eye(3)[None], 0.0, "unique", 1.0)
     moment = Moment(0, 5.25, 0.0, True, 1.0, belief, "", pose, np.eye(3), (0.1, 0.1), pose)
     scan = LaserScan([1.0, 2.0], [0.0, 0.5], T_base_laser=Pose2D(0.5, 0.0, 0.0))
-    recording = Recording(imgloc.load_map(MAP))
-    recording.add(scan, moment)
+    recording = Recording(imgloc.load_map(MAP), ["/front", "1"])
+    for laser in ("/front", "1"):
+        recording.add(replace(scan, laser=laser), moment)
     recording.save(tmp_path / "one.mcap")
     found = read(tmp_path / "one.mcap")
     tf, at = found["/tf"][0][2], found["/imgloc/pose"][0][2].pose
     assert (tf.parent_frame_id, tf.child_frame_id) == ("map", "base_link")
     assert (tf.translation.x, tf.translation.y) == (at.position.x, at.position.y) == (1.0, 2.0)
     assert tf.rotation.z == pytest.approx(math.sin(math.pi / 4))
-    laser = found["/scan"][0][2].pose.position
-    assert (laser.x, laser.y) == pytest.approx((1.0, 2.5))
+    for topic in ("/front", "/laser_1/scan"):
+        ((_, _, message),) = found[topic]
+        assert (message.pose.position.x, message.pose.position.y) == pytest.approx((1.0, 2.5))
     assert found["/imgloc/pose"][0][2].timestamp.ToNanoseconds() == 5_250_000_000
 
 

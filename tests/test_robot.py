@@ -1,6 +1,7 @@
 """A robot's frames, odometry, stamps and recordings, each on numbers that one can check by hand."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from imgloc.model import LaserScan, Pose2D
 from imgloc.robot.frames import GAP, Frames
 from imgloc.robot.lasers import Lasers
 from imgloc.robot.odometry import Odometry
-from imgloc.robot.recording import Source, mounted, pick_odometry
+from imgloc.robot.recording import Recording, Source, mounted, pick_odometry
 from imgloc.robot.stamps import AHEAD, ANEW, FINE, OLD, Stamps
 
 
@@ -150,7 +151,9 @@ def topic(name: str, frame: str, child: str) -> Source:
 
 
 def picked(topics, frames, laser="laser", scan="/scan", asked=""):
-    return pick_odometry(topics, frames, laser, scan, asked, "a.bag")
+    about = Recording(taken=scan)
+    source, about = pick_odometry(topics, frames, laser, about, asked, "a.bag")
+    return SimpleNamespace(**(vars(about) | {"source": source}))
 
 
 def test_the_odometry_is_that_of_the_robot_which_carries_the_laser() -> None:

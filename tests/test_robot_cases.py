@@ -47,6 +47,8 @@ def cases(shared: Path) -> Path:
 def test_logs_that_misled_give_right_poses(cases, bag, truth, words, taken) -> None:
     said = call("inspect", cases / bag, "--json", *words)
     assert rows(said.out)[0]["recording"]["odometry"] == taken
+    if words:
+        assert "--topic picks one of /tb3_0/scan,/tb3_1/scan" in call("inspect", cases / bag).out
     done = call("track", "large", cases / bag, "--json", "--no-cache", *words)
     assert done.code == 0, done.err
     true = np.loadtxt(cases / truth)

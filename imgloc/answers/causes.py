@@ -18,7 +18,7 @@ from typing import Any
 from imgloc.answers.truth import NOT_TRUE
 from imgloc.io.calibration import calibration_path
 from imgloc.io.files import PathLike, display
-from imgloc.io.maps import DRAWN, SWAPPED
+from imgloc.io.maps import DRAWN, SLIP, SWAPPED
 from imgloc.model import OccupancyGrid
 from imgloc.options import Drawn, Shared
 
@@ -143,6 +143,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers/topics": _warns("{count} lasers: this is {first}; `topic={names}` follows all of "
                                 "them"),
     # Tried by laying scans over each other, as the odometry moved the sensor.
+    "two-lasers/apart": _warns("{count} lasers: this is {first}; `topic` picks one of {names}"),
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "
                        "poor, or on another clock, or is the place of the sensor wrong?"),
@@ -160,6 +161,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "poses": _warns(NOT_TRUE),
     "calibration": _wrong("{fits} this map far better {than} {calibrated}", "",
                           "fits far better without {file}"),
+    "centimetres": _wrong(SLIP, short="is the map's resolution in centimetres?"),
     "swapped": _wrong(SWAPPED, short="black and white of the map look swapped: `negate=True`"),
     "prior": _wrong("the best fit, {where}, lies outside {asked}: {right} right?", "",
                     "fits where {asked} {leave} out"),

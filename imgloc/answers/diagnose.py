@@ -45,7 +45,7 @@ _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
 
 
 def is_doubtful(verdict: str, evidence: Evidence) -> bool:
-    """Whether a scan fits nowhere, or several places not well.
+    """Return whether a scan fits nowhere, or several places not well.
 
     Examples
     --------
@@ -82,6 +82,9 @@ def doubts(
         At most one; none if at least half of the scans fit, unless they do so as :func:`bent` says.
     """
     given, bent_ = given or Given(), bent(said, options.shared, features.grid.resolution)
+    if (cell := features.grid.resolution) >= 1:
+        high, wide = (cells * cell for cells in features.grid.occupied.shape)
+        return [cause("centimetres", wide=wide, high=high, metres=cell / 100)]
     if found_floor := tilted(said):
         return found_floor
     doubtful = [k for k, answer in enumerate(said) if is_doubtful(*answer)]

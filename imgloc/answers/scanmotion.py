@@ -70,11 +70,11 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
     """How well scans agree with poses of the robot (N, 3), finite, in the odometry's frame."""
     if len(scans) < _LEAST:
         return Agreement(math.nan)
-    pairs = _pairs(odom)
+    pairs = _pairs(odom, scans)
     here = _share(scans.scans.__getitem__, odom, pairs, Way(""))
     if math.isnan(here) or here >= AGREES:
         return Agreement(here)
-    if _alternates(scans, odom):
+    if len(scans.lasers) == 1 and _alternates(scans, odom):
         return Agreement(here, two_lasers=True)
     best, most = None, max(POOR, here / _HALF)
     ways = _ways(scans, odom)
@@ -93,7 +93,7 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
     """
     if not any(scan.time_increment for scan in scans.scans) or len(scans) < _LEAST:
         return None
-    speeds, pairs = scans.velocities, _pairs(odom)
+    speeds, pairs = scans.velocities, _pairs(odom, scans)
 
     def straight(way: str, k: int) -> LaserScan:
         return scans[k].straightened(speeds[k], backward=way == "backward")
@@ -104,7 +104,7 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
 
 
 def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
-    """Whether each scan agrees with the one after the next, and not with the next."""
+    """Return whether each scan agrees with the one after the next, and not with the next."""
     starts = evenly(len(scans) - 2, 4 * _PAIRS)
 
     def median(ahead: int, some: IntArray) -> float:
@@ -173,14 +173,15 @@ def _shifted(odom: FloatArray, times: FloatArray, shift: float) -> FloatArray:
     return np.stack([np.interp(at, times, column) for column in columns], axis=1)
 
 
-def _pairs(odom: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of scans between which the robot went or turned far enough, and not farther."""
-    out = list[tuple[int, int]]()
+def _pairs(odom: FloatArray, scans: ScanSet) -> list[tuple[int, int]]:
+    """Pairs of scans of a laser between which the robot went or turned enough, and no farther."""
+    out, lasers = list[tuple[int, int]](), np.array([scan.laser for scan in scans.scans])
     for i in evenly(len(odom) - 1, _LOOKED).tolist():
         ahead = odom[i + 1 : i + 1 + _AHEAD]
         far = np.hypot(*(ahead[:, :2] - odom[i, :2]).T) > _FAR
         turned = np.abs(np.remainder(ahead[:, 2] - odom[i, 2] + math.pi, math.tau) - math.pi)
-        found = np.flatnonzero(far | (turned > _TURN))
+        alike = lasers[i + 1 : i + 1 + _AHEAD] == lasers[i]
+        found = np.flatnonzero((far | (turned > _TURN)) & alike)
         if found.size:
             out.append((i, i + 1 + int(found[0])))
     return out

@@ -25,8 +25,9 @@ def convert(
 
     Ranges become metres, and readings are those of an upright sensor. Stamps, odometry, known poses
     and the place of the sensor go along where the form has room for them: CSV has none for the
-    place of the sensor, MCAP none for known poses. MCAP is a recording of ROS 2 with /scan, /odom
-    and /tf_static, and needs rosbags: pip install 'imgloc[ros]'.
+    place and the name of the sensor, MCAP none for known poses. MCAP is a recording of ROS 2 with
+    /scan, or a topic for each of several lasers, /odom and /tf_static, and needs rosbags:
+    pip install 'imgloc[ros]'.
     """
     from imgloc.cli import inputs
     from imgloc.output import converted

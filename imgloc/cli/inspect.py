@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from imgloc.cli import options as opt
 from imgloc.cli.command import Typed
 from imgloc.cli.console import LOG, emit, listening
-from imgloc.errors import ConfigError, as_options
+from imgloc.errors import ConfigError, ScanError, as_options
 from imgloc.io.files import display
 from imgloc.options import Logs, MemoryBudget, Mounting, Options
 from imgloc.ranges import declared, option
@@ -94,7 +94,7 @@ def _is_map(path: Path) -> bool:
 
 
 def _is_echo(path: Path) -> bool:
-    """Whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
+    """Return whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
     with contextlib.suppress(OSError), path.open("rb") as file:
         return b"ranges:" in file.read(4096)
     return False
@@ -137,7 +137,8 @@ class _Look:
         from imgloc.output.inspection import draw_log, log_row, log_text
 
         form, kinds = ("standard input", []) if str(path) == "-" else kinds_of(path)
-        logs, more = self._topic(form, kinds)
+        with _heard(inputs.name_of(path)):
+            logs, more = self._topic(path, form, kinds)
         with _heard(inputs.name_of(path)) as notes:
             how = inputs.as_recorded(logs, mounting=self.mounting)
             scans = self.desk.scans(path, how).scans
@@ -156,10 +157,11 @@ class _Look:
             draw_log(about[0], report, scans[report.scan]).save(picture, force=force)
             LOG.info("wrote %s", display(picture))
 
-    def _topic(self, form: str, kinds: "Sequence[Kind]") -> "tuple[Logs, list[Cause]]":
+    def _topic(self, path: Path, form: str, kinds: "Sequence[Kind]") -> "tuple[Logs, list[Cause]]":
         """The laser that is looked at, and a word about the others."""
         from imgloc.answers.causes import cause
         from imgloc.io.kinds import lasers_in
+        from imgloc.runs.opening import ScanFiles
 
         lasers = lasers_in(form, list(kinds))
         if len(lasers) < 2 or self.logs.topic is not None:
@@ -168,7 +170,12 @@ class _Look:
         first = next((k.name for k in lasers if k.name in ("/scan", "FLASER")), lasers[0].name)
         if first == "/scan":  # the others are often made of it
             return self.logs, []
-        found = cause("two-lasers/topics", count=len(lasers), first=first, names=names)
+        key = "two-lasers/topics"
+        try:
+            self.desk.scans(path, ScanFiles(**vars(replace(self.logs, topic=names)), many=True))
+        except ScanError:  # they are not of one robot, or it is not known where they sit
+            key = "two-lasers/apart"
+        found = cause(key, count=len(lasers), first=first, names=names)
         return replace(self.logs, topic=first), [found]
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:

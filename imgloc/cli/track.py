@@ -200,7 +200,7 @@ def track(
     with contextlib.ExitStack() as undo:
         title = f"{map_name(map_path)}: {inputs.name_of(log)}"
         movie = Video(features, video.suffix.lower(), title) if (video := outputs.video) else None
-        recording = None if outputs.mcap is None else Recording(grid)
+        recording = None if outputs.mcap is None else Recording(grid, scans.lasers)
         shown, seen = list[Any](), scans.scans.__getitem__ if live is None else live.last
         if movie is not None:
             undo.callback(movie.close)

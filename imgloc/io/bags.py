@@ -5,7 +5,8 @@ import logging
 import math
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -17,11 +18,13 @@ from imgloc.io.badlines import BadLines
 from imgloc.io.bagbounds import MAX_METADATA, bounded, largest_chunk, messages_of, metadata
 from imgloc.io.clouds import Height, check_height, check_seen, points_of, slice_of
 from imgloc.io.files import PathLike, display, is_folder, is_there, open_file, read_file, reason
-from imgloc.io.lasers import lasers_of, together
+from imgloc.io.lasers import lasers_of
 from imgloc.io.messages import (
     entry_of,
+    field,
     frame_name,
     grid_from_msg,
+    has_field,
     link_of,
     move_of,
     planar,
@@ -32,17 +35,17 @@ from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import MAX_BAD
 from imgloc.robot.frames import Frames
 from imgloc.robot.odometry import Odometry
-from imgloc.robot.recording import SCANS, Picked, Recording, Source, mounted, pick_odometry
+from imgloc.robot.recording import SCANS, Recording, Source, mounted, pick_odometry
 
 _LOG = logging.getLogger("imgloc")
-_SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
+LASER, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 _CLOUD, _GRID = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"
 BAG_ENDINGS = (".bag", ".mcap", ".db3")
-_TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 8  # topics in a message
 _FAR = 1e9  # metres that a robot is from where its odometry began
 _SAVES = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
-_TILTED = math.cos(math.radians(5))
+LEVEL = math.cos(math.radians(5))
 _HINTS = {
     "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
 }
@@ -67,7 +70,6 @@ def read_bag(
         is damaged, or rosbags is not installed (the extra ``ros``).
     topic : str, optional
         Topic with sensor_msgs/LaserScan messages; default ``/scan``, or the only such topic.
-        Several topics stand with commas between; then each scan has its own `T_base_laser`.
         Without any such topic those of sensor_msgs/PointCloud2 are looked at.
     height : (float, float), optional
         Lowest and highest point of the slice of a cloud that is a scan, metres above the sensor.
@@ -77,23 +79,16 @@ def read_bag(
         Share of the messages, 0 to 1, that may be broken: they are left out, with a warning.
     """
     name, bad = display(path), BadLines(display(path), max_bad, "scans")
-    if topic is not None and len(topics := lasers_of(topic)) > 1:
-        sets = {
-            t: read_bag(path, topic=t, height=height, odom=odom, max_bad=max_bad) for t in topics
-        }
-        return together(sets, name)
     with _opened(path, name) as bag:
         chosen = _choose(bag, topic, name)
-        sources = {t: Source(t, "", "") for t in _by_type(bag, _ODOMETRY)}
-        wanted = {chosen, *sources, *(t for kind in _TF for t in _by_type(bag, kind))}
-        lasers = tuple(_by_type(bag, _SCAN)) or tuple(_by_type(bag, _CLOUD))
+        beside = Beside()
+        wanted = {chosen, *(t for kind in (ODOMETRY, *TF) for t in _by_type(bag, kind))}
+        lasers = tuple(_by_type(bag, LASER)) or tuple(_by_type(bag, _CLOUD))
         maps = tuple(_by_type(bag, _GRID))
         connections = [c for c in bag.connections if c.topic in wanted]
         entries, laser = list[Entry](), ""
         count = sum(c.msgcount for c in connections if c.topic == chosen)
         readings = most = 0
-        moves = {t: list[tuple[float, ...]]() for t in sources}
-        frames, odd = Frames(), 0
         for connection, time, data in messages_of(bag, connections):
             message = bag.deserialize(data, connection.msgtype)
             if connection.topic == chosen:
@@ -109,29 +104,48 @@ def read_bag(
                     hint = f"expected {count:,} scans like the first; ros2 bag reindex"
                     raise ScanError(f"{where}: {readings:,} readings up to it, {hint}")
                 entries.append((where, {**entry, "laser": chosen}))
-            elif connection.topic in sources:
-                frame, child = map(frame_name, (message.header.frame_id, message.child_frame_id))
-                sources[connection.topic] = Source(connection.topic, frame, child)
-                moves[connection.topic].append(move_of(message))
             else:
-                for item in message.transforms:
-                    child, parent, pose = link_of(item)
-                    still = connection.topic.endswith("_static")
-                    stamp = -math.inf if still else seconds_of(item.header.stamp)
-                    odd += not frames.add(child, parent, pose, stamp)
-    if odd:
-        _LOG.warning("%s: left out %d transforms, which are not finite", name, odd)
+                beside.take(connection.topic, message)
     if height is not None and entries and "angles" in entries[0][1]:
         check_seen([entry for _, entry in entries], height, f"{name}: {chosen}")
-    known = [replace(s, odometry=_odometry(moves[t], f"{name}: {t}")) for t, s in sources.items()]
-    picked = pick_odometry(known, frames, laser, chosen, "" if odom == SCANS else odom, name)
-    if odom == SCANS:
-        picked = replace(picked, source=None)
-    about = Recording(
-        lasers, chosen, picked.source.words if picked.source else "", picked.why, picked.others,
-        picked.robots, picked.truths, maps,
-    )  # fmt: skip
-    return replace(_assemble(entries, picked, frames, laser, bad), recording=about)
+    about = Recording(lasers, chosen, maps=maps)
+    return beside.scans(entries, laser, about, odom, bad)
+
+
+class Beside:
+    """Odometry and transforms of a log, in messages that :mod:`imgloc.io.messages` knows."""
+
+    def __init__(self) -> None:
+        # By topic, frame and child: seconds, x, y and yaw.
+        self.moves = defaultdict[tuple[str, str, str], list[tuple[float, ...]]](list)
+        self.frames, self.odd = Frames(), 0
+
+    def take(self, topic: str, message: Any) -> None:
+        """Take a message of a topic: a nav_msgs/Odometry, or transforms."""
+        if has_field(message, "transforms"):
+            for item in field(message, "transforms"):
+                child, parent, pose = link_of(item)
+                still = topic.endswith("_static")
+                stamp = -math.inf if still else seconds_of(field(item, "header.stamp"))
+                self.odd += not self.frames.add(child, parent, pose, stamp)
+            return
+        frame, child = field(message, "header.frame_id"), field(message, "child_frame_id")
+        self.moves[topic, frame_name(frame), frame_name(child)].append(move_of(message))
+
+    def scans(
+        self, entries: Sequence[Entry], laser: str, about: Recording, odom: str, bad: BadLines
+    ) -> ScanSet:
+        """The set of the scans of a frame `laser`, with what is known beside them."""
+        name, frames = bad.name, self.frames
+        if self.odd:
+            _LOG.warning("%s: left out %d transforms, which are not finite", name, self.odd)
+        moves = sorted(self.moves.items())
+        known = [Source(*of, _odometry(rows, f"{name}: {of[0]}")) for of, rows in moves]
+        asked = "" if odom == SCANS else odom
+        source, about = pick_odometry(known, frames, laser, about, asked, name)
+        if odom == SCANS:
+            source, about = None, replace(about, odometry="")
+        return replace(_assemble(entries, source, frames, laser, bad), recording=about)
 
 
 def _odometry(moves: Sequence[tuple[float, ...]], name: str) -> Odometry:
@@ -174,7 +188,7 @@ def bag_size(
             if readings := len(entry["ranges"]):  # the first ones of a laser may be empty
                 break
         # Beside the scans: a chunk as it is packed, unpacked and cut, and the robot's poses.
-        moves = sum(c.msgcount for c in bag.connections if c.msgtype in (_ODOMETRY, *_TF))
+        moves = sum(c.msgcount for c in bag.connections if c.msgtype in (ODOMETRY, *TF))
         beside = 3 * largest_chunk() + 300 * moves
     check_size(count, readings, name)
     return ScansSize(count, 2 * count * readings, beside)
@@ -204,11 +218,8 @@ def read_bag_map(path: PathLike) -> OccupancyGrid:
 
 def topics_of(path: PathLike) -> list[tuple[str, str, int]]:
     """Topic, type and number of messages of what is in a bag."""
-    counts: dict[tuple[str, str], int] = {}
     with _opened(path, display(path)) as bag:
-        for c in bag.connections:
-            counts[c.topic, c.msgtype] = counts.get((c.topic, c.msgtype), 0) + c.msgcount
-    return [(topic, kind, count) for (topic, kind), count in sorted(counts.items())]
+        return [(topic, kind, n) for (topic, kind), n in _counts(bag)]
 
 
 @contextlib.contextmanager
@@ -268,23 +279,35 @@ def _files(file: Path, name: str) -> tuple[Path, list[Path]]:
 
 def _by_type(bag: Any, kind: str) -> dict[str, int]:
     """Topics of a type, and how many messages each has."""
-    counts: dict[str, int] = {}
-    for connection in bag.connections:
-        if connection.msgtype == kind:
-            counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
-    return {topic: n for topic, n in sorted(counts.items()) if n}
+    return {topic: n for (topic, type_), n in _counts(bag) if n and type_ == kind}
+
+
+def _counts(bag: Any) -> list[tuple[tuple[str, str], int]]:
+    """Topics with their types, and how many messages each has."""
+    counts = Counter[tuple[str, str]]()
+    for c in bag.connections:
+        counts[c.topic, c.msgtype] += c.msgcount
+    return sorted(counts.items())
 
 
 def _choose(bag: Any, topic: str | None, name: str) -> str:
     """The topic asked for, else /scan, else the only one."""
-    topics, clouds = _by_type(bag, _SCAN), _by_type(bag, _CLOUD)
+    topics, clouds = _by_type(bag, LASER), _by_type(bag, _CLOUD)
     if not topics or (topic is not None and any(_same(t, topic) for t in clouds)):
         topics = clouds
-    there = _some([f"{t} ({n})" for t, n in topics.items()])
     if not topics:
         kinds = sorted({c.msgtype for c in bag.connections if c.msgcount})
         hint = next((f"; {_HINTS[kind]}" for kind in kinds if kind in _HINTS), "")
         raise ScanError(f"{name}: no sensor_msgs/LaserScan in it, but {_some(kinds)}{hint}")
+    return choose_topic(topics, topic, name)
+
+
+def choose_topic(topics: Mapping[str, int], topic: str | None, name: str) -> str:
+    """The topic of scans that is asked for, else /scan, else the only one.
+
+    ScanError, by the `name` of the log, if there is none; `topics` counts the scans of each.
+    """
+    there = _some([f"{t} ({n})" for t, n in topics.items()])
     if topic is not None:
         match = [t for t in topics if _same(t, topic)]
         if not match:
@@ -306,18 +329,18 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _assemble(
-    entries: Sequence[Entry], picked: Picked, frames: Frames, laser: str, bad: BadLines
+    entries: Sequence[Entry], source: Source | None, frames: Frames, laser: str, bad: BadLines
 ) -> ScanSet:
     """The set of the scans, with the odometry at their times, on a sensor that sits so."""
     name = bad.name
-    stamps, source = np.array([entry["stamp"] for _, entry in entries]), picked.source
+    stamps = np.array([entry["stamp"] for _, entry in entries], float)
     odom = None if source is None else source.odometry.along(stamps)
     if odom is None and source is not None and len(source.odometry):
         _LOG.warning("%s: its odometry does not cover the time of its scans, and is ignored", name)
     mounts = mounted(frames, laser, source.child if source else "", stamps)
     poses = [None if mounts is None else mounts.get(t) for t in stamps.tolist()]
     stated = MOUNTED.get() is not None
-    level = [stated if pose is None else abs(pose[2, 2]) >= _TILTED for pose in poses]
+    level = [stated if pose is None else abs(pose[2, 2]) >= LEVEL for pose in poses]
     if mounts is not None:
         if not any(level) and mounts:
             _LOG.warning("%s: its laser is tilted in tf; imgloc takes scans for level", name)
@@ -331,7 +354,7 @@ def _assemble(
             )  # fmt: skip
     whole: list[Entry] = []
     for k, (where, entry) in enumerate(entries):
-        pose, more = poses[k], {"odom": None if odom is None else odom[k]}
+        pose, more = poses[k], {} if odom is None else {"odom": odom[k]}
         if mounts is not None and not level[k]:
             continue
         if pose is not None:

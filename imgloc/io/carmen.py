@@ -24,7 +24,6 @@ import numpy as np
 from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
-from imgloc.io.lasers import lasers_of, together
 from imgloc.io.scanset import Entry, ScanSet, collect, spread, wrong
 from imgloc.io.text import read_text
 from imgloc.io.textscans import check_lines
@@ -85,8 +84,7 @@ def read_carmen(
     path : path
         ScanError, with the line, if it cannot be read, or holds no laser.
     topic : str, optional
-        Messages of which laser, by the word they begin with; the front laser by default. Of
-        several, with commas between, each scan has its own `T_base_laser`.
+        Messages of which laser, by the word they begin with; the front laser by default.
     fov : float, optional
         Angle from the first to the last ray, radians, of lasers that do not say it (FLASER,
         RLASER, Laser). 180, 181, 360 and 361 readings need none, those are SICK scanners, nor
@@ -94,9 +92,6 @@ def read_carmen(
     max_bad : float
         Share of the laser's lines, 0 to 1, that may be broken: they are left out, with a warning.
     """
-    if topic is not None and len(words := lasers_of(topic)) > 1:
-        sets = {word: read_carmen(path, topic=word, fov=fov, max_bad=max_bad) for word in words}
-        return together({word: _placed(scans) for word, scans in sets.items()}, display(path))
     name, lines = display(path), _lines(path)
     first = [line.split(None, 1)[0] for _, line in lines]
     counts = Counter(word for word in first if _LASERS.fullmatch(word))
@@ -216,7 +211,7 @@ class CarmenLines:
         return replace(scan, T_base_laser=self._mount)
 
 
-def _placed(scans: ScanSet) -> ScanSet:
+def placed(scans: ScanSet) -> ScanSet:
     """Scans of a laser; its mount is the identity by default."""
     if scans.poses is not None or scans.odom is None:
         return scans

@@ -19,21 +19,24 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
+from imgloc.io.bags import Beside
 from imgloc.io.files import PathLike, display
 from imgloc.io.scanset import SPACING, Entry, ScanSet, collect, spread
 from imgloc.io.textscans import lines_of, number_of, setting_of
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
+from imgloc.robot.recording import Recording
 
 _LOG = logging.getLogger("imgloc")
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
 _SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
 _PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
 _BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "deg": math.pi / 180, "degrees": math.pi / 180, "ms": 1e-3,
+_DEGREE = math.pi / 180
+_UNITS = {"mm": 1e-3, "cm": 1e-2, "deg": _DEGREE, "degrees": _DEGREE, "grad": _DEGREE, "ms": 1e-3,
           "us": 1e-6, "ns": 1e-9}  # fmt: skip
 _UNIT = re.compile(
-    r"[\s_.(\[]+(mm|cm|m|metres|meters|deg|degrees|rad|radians|ms|us|ns|s|sec)[)\]]?$"
+    r"[\s_.(\[]+(mm|cm|m|metres|meters|deg|degrees|grad|rad|radians|ms|us|ns|s|sec)[)\]]?$"
 )
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
 _ROLES = (
@@ -44,8 +47,8 @@ _ROLES = (
     (re.compile(r"(%|__)?(time|timestamp|t)$"), "time"),
     (re.compile(r"(.*[./])?(header[./_])?(seq|frame_id|scan_time)$|.*intensit.*|quality|"
                 r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$"), "aside"),
-    (re.compile(r"angu?le|bearing|azimuth|phi|alpha"), "angle"),
-    (re.compile(r"range|dist|distance|r"), "range"),
+    (re.compile(r"angu?le|winkel|bearing|azimuth|phi|alpha"), "angle"),
+    (re.compile(r"range|dist|distance|abstand|r"), "range"),
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
@@ -53,6 +56,8 @@ _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and rough
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
+_POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./][zw])")
+_AXES = "position/x", "position/y", "orientation/z", "orientation/w"
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
 
 
@@ -70,7 +75,8 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     line of names is optional; columns called ``stamp``, ``x``, ``y``, ``theta`` are the stamp and
     the known pose of the sensor, ``odom_x``, ``odom_y``, ``odom_theta`` the odometry, the robot's
     pose in its own frame; all others are ranges in order, whose names are alike. The columns of
-    ``rostopic echo -p``, ``ros2 topic echo --csv``, bagpy and PlotJuggler are known. A file with
+    ``rostopic echo -p``, ``ros2 topic echo --csv``, bagpy and PlotJuggler are known, also those of
+    a nav_msgs/Odometry. A file with
     columns such as ``angle`` and ``range``, ``angle_deg`` and ``distance_mm``, or with just two
     columns of numbers, has one reading a line. Empty cells are NaN. Broken lines are left out, up
     to the share `max_bad`, as is a last one that was cut off.
@@ -152,6 +158,8 @@ def role_of(name: str) -> tuple[str, int, float]:
     name = name.lower()
     if found := _RANGES.fullmatch(name):
         return "ranges", int(found[2]), 1.0
+    if _POSE.fullmatch(name):
+        return "pose", 0, 1.0
     unit = _UNIT.search(name)
     bare = name[: unit.start()] if unit else name
     for pattern, role in _ROLES:
@@ -209,7 +217,7 @@ class _Table:
             by, roles, ranges = {**by, "time": 0}, [("time", 0, 1.0), *roles[1:]], ranges[1:]
         if len(ranges) == 1 and len(self.rows) > 1:
             found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
-            how = "its ranges with commas between, or two columns, angle and range"
+            how = "its ranges with commas between, or two columns called angle and range"
             raise ScanError(f"{self.name}: {found}, {how}")
         places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
         for key, wanted in _PLACES.items():
@@ -236,7 +244,24 @@ class _Table:
             entries.append(
                 (where, {**self.settings, **said, "ranges": values, "stamp": stamp, **more})
             )
-        return collect(entries, self.name, self.bad)
+        return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
+
+    def _beside(
+        self, names: Sequence[str], by: Mapping[str, int], roles: Sequence[tuple[str, int, float]]
+    ) -> Beside:
+        """The odometries whose columns are there, by their topics."""
+        beside, topics = Beside(), dict[str, dict[str, int]]()
+        for i, name in enumerate(names):
+            if found := _POSE.fullmatch(name):
+                topics.setdefault(found[1], {})[found[2].replace(".", "/")] = i
+        for topic, at in topics.items():
+            own = f"{topic}/header/stamp"
+            when = {"time": names.index(own)} if own in names else by
+            for _, row in self.rows:
+                x, y, z, w = (row[at[key]] if key in at else math.nan for key in _AXES)
+                if not math.isnan(x) and (stamp := _stamp_of(row, when, roles)) is not None:
+                    beside.moves[topic, "", ""].append((stamp, x, y, 2 * math.atan2(z, w)))
+        return beside
 
     def _parse(self, used: Sequence[int] | None, names: Sequence[str]) -> None:
         """Make numbers of the cells that are used, by default all."""
@@ -262,7 +287,7 @@ class _Table:
             raise ScanError(f"{self.name}: contains no scan, expected one per line")
 
     def _turns(self, fov: float | None) -> bool:
-        """Whether the first column holds angles, and each other one a scan."""
+        """Return whether the first column holds angles, and each other one a scan."""
         table = np.array([row for _, row in self.rows])
         if fov is not None or self.settings.keys() & {"angles", "angle_min"} or table.shape[1] < 3:
             return False
@@ -357,7 +382,7 @@ class _Table:
 
 
 def _is_echo(cells: Sequence[str]) -> bool:
-    """Whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
+    """Return whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
     numbers = [bool(cell) and _is_number(cell) for cell in cells[: _ECHO + 1]]
     return len(cells) > _ECHO and numbers == [True] * 2 + [False] + [True] * (_ECHO - 2)
 
@@ -371,7 +396,7 @@ def _rays_of(said: Mapping[str, float]) -> int:
 
 
 def _beyond(said: Mapping[str, float], values: FloatArray) -> bool:
-    """Whether the last cell is empty, and beyond the last ray that the line names."""
+    """Return whether the last cell is empty, and beyond the last ray that the line names."""
     if not {"angle_max", "angle_increment"} <= said.keys() or not said["angle_increment"]:
         return False
     return bool(np.isnan(values[-1])) and len(values) > _rays_of(said)

@@ -3,10 +3,11 @@
 from collections import Counter
 from dataclasses import dataclass
 
-from imgloc.io.bags import topics_of
+from imgloc.io.bags import LASER, topics_of
 from imgloc.io.files import PathLike
 from imgloc.io.scans import format_of
 from imgloc.io.text import read_text
+from imgloc.io.textscans import topics_in
 
 _SHOWN = 40  # characters of a word
 _MANY = 200  # kinds of lines in a log
@@ -29,6 +30,8 @@ def kinds_of(path: PathLike) -> tuple[str, list[Kind]]:
     form = format_of(path)
     if form == "bag":
         return form, [Kind(topic, count, kind) for topic, kind, count in topics_of(path)]
+    if form == "JSON":
+        return form, [Kind(t, n, kind) for (t, kind), n in sorted(topics_in(path).items())]
     if form == "CARMEN log":
         lines = read_text(path, errors="replace").split("\n")
         words = Counter(w[0][:_SHOWN] for line in lines if (w := line.split(None, 1)))
@@ -44,8 +47,6 @@ def lasers_in(form: str, kinds: list[Kind]) -> list[Kind]:
     >>> [kind.name for kind in lasers_in("CARMEN log", [Kind("ODOM", 9), Kind("FLASER", 8)])]
     ['FLASER']
     """
-    if form == "bag":
-        found = [k for k in kinds if k.type == "sensor_msgs/msg/LaserScan" and k.count]
-    else:
-        found = [k for k in kinds if k.name in ("FLASER", "RLASER")]
+    words = ("FLASER", "RLASER") if form == "CARMEN log" else ()
+    found = [k for k in kinds if k.count and (k.type == LASER or k.name in words)]
     return sorted(found, key=lambda kind: (-kind.count, kind.name))

@@ -3,7 +3,7 @@
 They are never joined to one scan: what a reading passed through depends on where it started.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +22,22 @@ def lasers_of(topic: str) -> list[str]:
     (['/front', '/rear'], ['/scan'])
     """
     return [word for word in map(str.strip, topic.split(",")) if word]
+
+
+def scan_topics(lasers: Iterable[str]) -> dict[str, str]:
+    """A topic of ROS for each of some lasers; the only one has /scan.
+
+    Examples
+    --------
+    >>> scan_topics(["/front/scan", "/front/scan"])
+    {'/front/scan': '/scan'}
+    >>> scan_topics(["/front/scan", "1"])
+    {'/front/scan': '/front/scan', '1': '/laser_1/scan'}
+    """
+    names = list(dict.fromkeys(lasers)) or [""]
+    if len(names) == 1:
+        return {names[0]: "/scan"}
+    return {name: name if name[:1] == "/" else f"/laser_{name}/scan" for name in names}
 
 
 def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:

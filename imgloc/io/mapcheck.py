@@ -18,6 +18,7 @@ from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, read_image
 from imgloc.io.maps import (
     DRAWN,
     GREY_205,
+    SLIP,
     SWAPPED,
     MapSettings,
     channel_sum,
@@ -47,6 +48,7 @@ _WARNINGS = {
     "yaw": "the origin has a yaw of {origin.theta:.4f} rad; it is honoured here, but some "
     "programs ignore it",
     "huge": "{millions:.0f} million cells: expect long times and much memory",
+    "centimetres": SLIP,
     "coarse": "{resolution:g} m per cell: poses are rarely finer than that",
     "lossy": "{lossy} alters greys near walls; export the map as PNG",
     "transparent": "{clear:,} cells are not opaque: unknown for Nav2 (trinary and scale), "
@@ -210,6 +212,7 @@ def _warnings(
         "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
         "yaw": used.origin.theta,
         "huge": sums.size > _HUGE_CELLS,
+        "centimetres": used.resolution >= 1,
         "coarse": used.resolution > 0.25,
         "lossy": image.lossy,
         "transparent": clear,
@@ -231,7 +234,7 @@ def _warnings(
         "clear": clear, "tinted": tinted, "trap": trap,
         "cells": sums.size, "millions": sums.size / 1e6,
         "lossy": {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF"),
-        "share": n["occupied"] / sums.size, "free_area": area,
+        "share": n["occupied"] / sums.size, "free_area": area, "metres": used.resolution / 100,
         "wide": width * used.resolution, "high": height * used.resolution,
     }  # fmt: skip
     return tuple(

@@ -247,9 +247,10 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
 
 SWAPPED = (
     "free space is as thin as walls, and walls are as wide as rooms: black and white look "
-    "swapped; try `negate=True` with `occupied_thresh=0.9`, or `negate=False` where the YAML has "
-    "negate: 1"
+    "swapped; where the YAML has negate: 1 or true, try `negate=False`, else `negate=True` with "
+    "`occupied_thresh=0.9`"
 )
+SLIP = "the map is {wide:,.0f} x {high:,.0f} m: is this in centimetres? Try `resolution={metres:g}`"
 _THICK = 0.3  # metres, half of what no wall is as thick as
 
 
@@ -269,7 +270,7 @@ def reading_of(path: Path, reading: Reading) -> Reading:
 
 
 def looks_swapped(grid: OccupancyGrid) -> bool:
-    """Whether black and white are swapped: free space thin as walls, walls wide as rooms.
+    """Return whether black and white are swapped: free space thin as walls, walls wide as rooms.
 
     Examples
     --------
@@ -307,7 +308,7 @@ def looks_drawn(grid: OccupancyGrid) -> bool:
 
 
 def lacks_unknown(grid: OccupancyGrid) -> bool:
-    """Whether next to nothing is unknown but the soft edges of what is drawn."""
+    """Return whether next to nothing is unknown but the soft edges of what is drawn."""
     inner = cv2.erode(grid.unknown.view(np.uint8), np.ones((3, 3), np.uint8))
     return float(np.count_nonzero(inner)) < 0.005 * inner.size
 

@@ -21,6 +21,7 @@ _SPACING = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max
 FREE, OCCUPIED = 19.6, 65.0
 """Occupancies of a cell, per cent, up to which it is free and from which it is a wall: the
 thresholds that ROS's map_saver writes beside a map."""
+_PACE = "time_increment"
 _MOST = 100  # per cent
 _FAR = 1e9  # metres that a map lies from its frame
 _LONGEST = number("messages.longest")  # seconds of a sweep
@@ -41,7 +42,7 @@ def field(message: Any, path: str) -> Any:
 
 
 @contextmanager
-def _fields_of(error: type[ImglocError], name: str) -> Iterator[None]:
+def fields_of(error: type[ImglocError], name: str) -> Iterator[None]:
     """Any field that is missing, or of another kind, is an `error` about the message `name`."""
     try:
         yield
@@ -52,21 +53,13 @@ def _fields_of(error: type[ImglocError], name: str) -> Iterator[None]:
         raise error(f"{name}: a field is of another kind: {e}") from None
 
 
-def _optional(message: Any, path: str) -> Any:
-    """The field of a message, 0 where it has none."""
-    try:
-        return field(message, path)
-    except (KeyError, AttributeError):
-        return 0.0
-
-
 def entry_of(message: Any, received: float) -> dict[str, Any]:
     """A sensor_msgs/LaserScan as other files hold it; its stamp, or when it was received."""
     entry: dict[str, Any] = {key: float(field(message, key)) for key in _SPACING}
     if not entry["angle_increment"]:
         del entry["angle_increment"]
     ranges = np.asarray(field(message, "ranges"), dtype=np.float64)
-    pace = float(_optional(message, "time_increment"))
+    pace = float(field(message, _PACE)) if has_field(message, _PACE) else 0.0
     if 0 < pace * len(ranges) <= _LONGEST:  # some drivers write the time since the last scan
         entry["time_increment"] = pace
     return entry | {
@@ -105,7 +98,7 @@ def scan_from_msg(
     >>> scan_from_msg(message), scan_from_msg(message).stamp
     (<LaserScan of 3 rays, 2 valid: -28.65 to 28.65 deg, 1 to 2 m of at most 9>, 5.5)
     """
-    with _fields_of(ScanError, name):
+    with fields_of(ScanError, name):
         entry = entry_of(message, received) | {"mount": mount}
     return collect([(name, entry)], name)[0]
 
@@ -129,7 +122,7 @@ def grid_from_msg(message: Any, name: str = "map") -> OccupancyGrid:
     >>> grid_from_msg({"info": info, "data": [0, 100, -1]})
     <OccupancyGrid 3 x 1 cells of 0.5 m: 1.5 x 0.5 m, 33.3% occupied, 33.3% free>
     """
-    with _fields_of(MapError, name):
+    with fields_of(MapError, name):
         width, height = (int(field(message, f"info.{key}")) for key in ("width", "height"))
         data = np.asarray(field(message, "data"))
         with np.errstate(invalid="ignore"):
@@ -258,12 +251,13 @@ def seconds_of(stamp: Any) -> float:
     >>> seconds_of({"sec": 1, "nanosec": 5}) == seconds_of({"secs": 1, "nsecs": 5})
     True
     """
-    names = ("secs", "nsecs") if _has(stamp, "secs") else ("sec", "nanosec")
+    names = ("secs", "nsecs") if has_field(stamp, "secs") else ("sec", "nanosec")
     seconds, rest = (float(field(stamp, name)) for name in names)
     return seconds + 1e-9 * rest
 
 
-def _has(message: Any, name: str) -> bool:
+def has_field(message: Any, name: str) -> bool:
+    """Return whether a message, or a mapping, has a field."""
     return name in message if isinstance(message, Mapping) else hasattr(message, name)
 
 
@@ -301,7 +295,7 @@ def link_of(message: Any) -> tuple[str, str, FloatArray]:
 def matrix_of(pose: Any) -> FloatArray:
     """A Pose or a Transform as 4 x 4."""
     names = "position", "orientation"
-    if not _has(pose, names[0]):
+    if not has_field(pose, names[0]):
         names = "translation", "rotation"
     at, q = (field(pose, name) for name in names)
     # A quaternion of zeros, which scipy's Rotation refuses, is one that nobody filled in.

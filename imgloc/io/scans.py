@@ -19,6 +19,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -26,7 +27,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.io.bags import bag_size, read_bag
-from imgloc.io.carmen import read_carmen
+from imgloc.io.carmen import placed, read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
 from imgloc.io.csvscans import read_csv
 from imgloc.io.echo import read_echo
@@ -42,6 +43,7 @@ from imgloc.io.files import (
     reason,
     write_bytes_atomic,
 )
+from imgloc.io.lasers import lasers_of, together
 from imgloc.io.remote import local
 from imgloc.io.scanset import (
     KEYS,
@@ -111,8 +113,13 @@ def load_scans(
     """
     how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
     path = local(path)
+    kind, lasers = _kind(path, topic), lasers_of(topic or "")
     with stated(how, sensor):
-        return _kind(path, topic).read(path, how)
+        if len(lasers) < 2:
+            return kind.read(path, how)
+        sets = {laser: kind.read(path, replace(how, topic=laser)) for laser in lasers}
+        sets = {t: placed(s) for t, s in sets.items()} if kind is _CARMEN else sets
+        return together(sets, display(path))
 
 
 def scans_size(
@@ -170,7 +177,7 @@ def write_npz(scans: ScanSet) -> bytes:
     stamps = own if scans.stamps is None else scans.stamps
     mounts = [scan.T_base_laser for scan in scans.scans]
     mount = np.array([(m.x, m.y, m.theta) if m else (np.nan,) * 3 for m in mounts])
-    names = list(dict.fromkeys(scan.laser for scan in scans.scans))
+    names = scans.lasers
     if len(names) > 1:
         arrays["laser"] = np.array([names.index(scan.laser) for scan in scans.scans])
     beside = {"poses": scans.poses, "odom": scans.odom}
@@ -194,7 +201,8 @@ _CSV = _Kind(
     lambda path, _: text_size(path, between=b",;\t "),
 )
 _JSON = _Kind(
-    lambda path, how: read_jsonl(path, max_bad=how.max_bad), lambda path, _: text_size(path)
+    lambda path, how: read_jsonl(path, topic=how.topic, odom=how.odom or "", max_bad=how.max_bad),
+    lambda path, _: text_size(path),
 )
 _ECHO = _Kind(
     lambda path, how: read_echo(path, max_bad=how.max_bad),
@@ -212,7 +220,7 @@ _BAG = _Kind(
 )
 _PCD = _Kind(lambda path, how: read_pcd(path, height=how.height), lambda path, _: pcd_size(path))
 _TEXTS = _CSV, _JSON, _ECHO, _CARMEN  # which may be packed by gzip
-_LOGS = _CARMEN, _BAG  # in which each of several lasers has a name
+_LOGS = _CARMEN, _BAG, _JSON  # in which each of several lasers may have a name
 _NAMES = {_NPZ: "NPZ", _CSV: "CSV", _JSON: "JSON", _ECHO: "echo of a topic",
           _CARMEN: "CARMEN log", _BAG: "bag", _PCD: "PCD"}  # fmt: skip
 _KINDS = {
@@ -257,15 +265,22 @@ def format_of(path: PathLike) -> str:
 
 
 def has_topics(path: PathLike) -> bool:
-    """Whether a file may hold several lasers, each with a name: a bag, or a CARMEN log."""
-    return _kind_of(path) in _LOGS
+    """Return whether a file may hold several lasers, each with a name.
+
+    A bag and a CARMEN log may, as may JSON that names topics.
+    """
+    kind = _kind_of(path)
+    if kind is not _JSON:
+        return kind in _LOGS
+    with open_text(path) as (file, _):
+        return b'"topic"' in file.read(_HEAD)
 
 
 def _kind(path: PathLike, topic: str | None) -> _Kind:
     """The kind of a file; a ScanError if it has no topics and one is asked for."""
     kind = _kind_of(path)
-    if topic is not None and kind not in _LOGS:
-        hint = "a topic or message is of a ROS bag or a CARMEN log; leave it out"
+    if topic is not None and not has_topics(path):
+        hint = "a topic or message is of a ROS bag, rosbridge or a CARMEN log; leave it out"
         raise ScanError(f"{display(path)}: has one laser, expected no topic, got {topic}: {hint}")
     return kind
 

@@ -116,8 +116,13 @@ class ScanSet(ByContent):
         return zip(self.scans, () if self.poses is None else self.poses, strict=True)
 
     @property
+    def lasers(self) -> list[str]:
+        """Names of the lasers, in the order in which they come."""
+        return list(dict.fromkeys(scan.laser for scan in self.scans))
+
+    @property
     def poses_are_odometry(self) -> bool:
-        """Whether one set of poses is both: a log that has no other may hold either in it."""
+        """True if one set of poses is both: a log that has no other may hold either in it."""
         both = self.poses is not None and self.odom is not None
         return both and np.array_equal(self.poses, self.odom, equal_nan=True)  # type: ignore[arg-type]
 

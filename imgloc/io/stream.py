@@ -7,6 +7,7 @@ import re
 import stat
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,7 +27,7 @@ _PAUSE = 0.05  # seconds between two looks at the end of a file
 
 
 def is_pipe(path: Path) -> bool:
-    """Whether a path is a named pipe."""
+    """Return whether a path is a named pipe."""
     try:
         return stat.S_ISFIFO(path.stat().st_mode)
     except (OSError, ValueError):
@@ -76,7 +77,7 @@ def scans_of(
             if not text:
                 continue
             if take is None:
-                take = _reader_of(text, name, topic, fov)
+                take = _reader_of(text, topic, fov)
             scan = take(text, where)
         except ScanError as error:
             if take is not None and not line.endswith(b"\n") and len(line) <= MAX_LINE:
@@ -101,14 +102,12 @@ def _text_of(line: bytes, where: str, *, first: bool) -> str:
 
 
 def _reader_of(
-    text: str, name: str, topic: str | None, fov: float | None
+    text: str, topic: str | None, fov: float | None
 ) -> Callable[[str, str], ScanSet | None]:
     """What reads lines of which this is the first."""
     if _CARMEN.match(text.encode()):
         return CarmenLines(topic, fov).take
-    if topic is not None:
-        raise ScanError(f"{name}: has one laser, expected no topic, got {topic}: leave it out")
-    return read_jsonl_line
+    return partial(read_jsonl_line, topic=topic)
 
 
 def lines_of(stream: BinaryIO) -> Iterator[bytes]:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
@@ -12,7 +13,10 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
+from imgloc.io.bags import LASER, LEVEL, ODOMETRY, TF, Beside, choose_topic
 from imgloc.io.files import PathLike, display
+from imgloc.io.lasers import lasers_of
+from imgloc.io.messages import fields_of, frame_name, matrix_of, planar
 from imgloc.io.scanset import (
     MAX_RAYS,
     Entry,
@@ -23,7 +27,9 @@ from imgloc.io.scanset import (
     scalar,
 )
 from imgloc.io.text import MAX_TEXT, open_text, read_text
+from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
+from imgloc.robot.recording import Recording
 
 _BLOCK = 1 << 16  # bytes: other threads have their turn between two
 MAX_LINE = 64 * MAX_RAYS
@@ -36,9 +42,12 @@ _NAMES = {
 }  # fmt: skip
 _NANO = 1e14  # seconds that no stamp has, but nanoseconds
 _POSES = ("pose", "odom", "mount")
+_TYPES = {"ranges": LASER, "child_frame_id": ODOMETRY, "transforms": TF[0]}
 
 
-def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
+def read_jsonl(
+    path: PathLike, *, topic: str | None = None, odom: str = "", max_bad: float = MAX_BAD
+) -> ScanSet:
     """Read scans from JSON lines, one object per line with the names of sensor_msgs/LaserScan.
 
     Needed are ``ranges`` and either ``angles`` or ``angle_min`` with ``angle_increment``
@@ -47,14 +56,15 @@ def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
     (where the sensor sits on the robot) as [x, y, theta] or an object of these names; ``laser`` (or
     ``header.frame_id``), a name for each of several lasers. In ranges, null is NaN, and "inf",
     "-inf", "nan" may be strings.
-    Scans of rosbridge, of Foxglove and of CSM are known, too; what a recording of rosbridge has of
-    other topics is passed over. A ``.json`` file may also be one such object, or an array of them.
+    Scans of rosbridge, of Foxglove and of CSM are known, too. Of other topics odometry and
+    transforms are used; `topic` and `odom` are those of :func:`~imgloc.io.bags.read_bag`. A
+    ``.json`` file may also be one such object, or an array of them.
     Broken lines are left out, up to the share `max_bad`, as is a last one that was cut off.
     """
-    name, bad, topics = display(path), BadLines(display(path), max_bad), set[str]()
+    name, bad = display(path), BadLines(display(path), max_bad)
     whole_file = str(path).lower().removesuffix(".gz").endswith(".json")
     lines = lines_of(path, MAX_TEXT if whole_file else MAX_LINE)
-    entries, cut = list[Entry](), f"{name}: line {lines.cut}"
+    scans, beside, cut = dict[str, list[Entry]](), Beside(), f"{name}: line {lines.cut}"
     parts = ((f"{name}: line {line}", text) for line, text in lines.numbered)
     found: Iterable[tuple[str, Any]] = parts
     if whole_file:
@@ -69,20 +79,36 @@ def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
     for where, item in found:
         try:
             entry = _json(item, where) if isinstance(item, str) else item
-            entry, topic = unwrapped(entry)
-            if topic is not None and "ranges" not in entry:
-                continue
-            entries.append((where, _object(entry, where)))
-            topics |= set() if topic is None else {topic}
+            entry, on = unwrapped(entry, where)
+            if on is None or "ranges" in entry:
+                plain = _object(entry, where)
+                scans.setdefault(on or "", []).append((where, plain))
+            elif {"transforms", "child_frame_id"} & entry.keys():
+                with fields_of(ScanError, where):
+                    beside.take(on, entry)
         except ScanError as error:
-            if entries and where == cut:
+            if scans and where == cut:
                 bad.cut(where)
             else:
                 bad.skip(error)
-    if len(topics) > 1:
-        some = ", ".join(sorted(topics))
-        raise ScanError(f"{name}: scans of several topics, {some}; keep the lines of one of them")
-    return collect(entries, name, bad)
+    counts = {t: len(entries) for t, entries in sorted(scans.items())}
+    chosen = choose_topic(counts, topic, name) if counts else ""
+    entries = scans.get(chosen, [])
+    if not chosen:
+        return collect(entries, name, bad)
+    about = Recording(tuple(counts), chosen)
+    return beside.scans(entries, frame_name(entries[-1][1]["laser"]), about, odom, bad)
+
+
+def topics_in(path: PathLike) -> Counter[tuple[str, str]]:
+    """How many messages of each topic and type JSON lines hold."""
+    found = Counter[tuple[str, str]]()
+    for _, text in lines_of(path, MAX_TEXT).numbered:
+        with contextlib.suppress(ScanError):
+            entry, on = unwrapped(_json(text, ""))
+            if on is not None:
+                found[on, next((kind for key, kind in _TYPES.items() if key in entry), "")] += 1
+    return found
 
 
 def _is_json(text: str) -> bool:
@@ -118,7 +144,7 @@ def _listed(whole: Any) -> list[Any]:
     return inside[0] if len(inside) == 1 and "ranges" not in whole else [whole]
 
 
-def unwrapped(entry: Any) -> tuple[Any, str | None]:
+def unwrapped(entry: Any, where: str = "scan") -> tuple[Any, str | None]:
     """The fields of a scan by the names of LaserScan, and the topic of what they came in.
 
     Examples
@@ -133,12 +159,15 @@ def unwrapped(entry: Any) -> tuple[Any, str | None]:
     inner = next((entry[key] for key in _WRAPS if isinstance(entry.get(key), dict)), None)
     if inner is not None and "ranges" not in entry:
         topic = entry.get("topic")
-        return unwrapped(inner)[0], str(topic) if topic is not None else "a topic"
+        return unwrapped(inner, where)[0], str(topic) if topic is not None else "a topic"
     plain = {_SNAKE.sub(lambda m: f"_{m[0].lower()}", str(key)): v for key, v in entry.items()}
     foxglove = "start_angle" in plain
     plain = {_NAMES.get(key, key): value for key, value in plain.items()}
-    if foxglove:
-        plain.pop("pose", None)  # of the sensor in its own frame
+    if foxglove:  # the sensor in its frame, which may be the robot's
+        pose = plain.pop("pose", None)
+        if isinstance(pose, dict) and "orientation" in pose:
+            with fields_of(ScanError, f"{where}: pose"):
+                plain |= _turned(plain, matrix_of(pose), where)
     stamp = plain.get("timestamp")
     if "angles" in plain and isinstance(stamp, list) and len(stamp) == 2:  # of CSM
         plain["stamp"] = stamp[0] + 1e-6 * stamp[1]
@@ -152,6 +181,15 @@ def unwrapped(entry: Any) -> tuple[Any, str | None]:
     return plain, None
 
 
+def _turned(plain: Mapping[str, Any], pose: FloatArray, where: str) -> dict[str, Any]:
+    """The mount of a scan by its pose (4, 4), and its ends, clockwise if it is upside down."""
+    if abs(pose[2, 2]) < LEVEL:
+        raise ScanError(f"{where}: pose: tilted by more than 5 degrees, expected a level laser")
+    ends = ("angle_min", "angle_max") if pose[2, 2] < 0 else ()
+    mount = None if np.array_equal(pose, np.eye(4)) else list(planar(pose))
+    return {"mount": mount} | {key: -plain[key] for key in ends}
+
+
 def _seconds(stamp: Any) -> Any:
     """Seconds of a timestamp: of a text as RFC 3339 has it, or of nanoseconds."""
     if isinstance(stamp, str):
@@ -161,9 +199,17 @@ def _seconds(stamp: Any) -> Any:
     return 1e-9 * stamp if isinstance(stamp, int) and stamp > _NANO else stamp
 
 
-def read_jsonl_line(text: str, where: str) -> ScanSet:
-    """The scan of one of the lines of :func:`read_jsonl`; `where` it stands, for errors."""
-    return collect([(where, _object(unwrapped(_json(text, where))[0], where))], where)
+def read_jsonl_line(text: str, where: str, topic: str | None = None) -> ScanSet | None:
+    """The scan of one of the lines of :func:`read_jsonl`; `where` it stands, for errors.
+
+    None for a line of another topic.
+    """
+    entry, on = unwrapped(_json(text, where), where)
+    if on is None and topic is not None:
+        raise ScanError(f"{where}: has one laser, expected no topic, got {topic}: leave it out")
+    if on is not None and ("ranges" not in entry or on not in lasers_of(topic or on)):
+        return None
+    return collect([(where, _object(entry, where))], where)
 
 
 def _object(entry: object, where: str) -> dict[str, Any]:
@@ -263,7 +309,7 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         parts[1] = parts[1] or stamp.get("nsec", 0)
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in parts)
         stamp = seconds + nanoseconds * 1e-9
-    plain["stamp"] = stamp
+    plain["stamp"] = None if stamp is None else scalar(stamp, f"{where}: stamp")
     plain["laser"] = entry.get("laser", header.get("frame_id", ""))
     for key in _POSES:
         if isinstance(entry.get(key), dict):

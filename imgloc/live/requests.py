@@ -200,7 +200,9 @@ def read_line(text: str, where: str) -> ScanSet:
     commas = sum(text.count(",", k, k + _PIECE) for k in range(0, len(text), _PIECE))
     if commas > (most := 4 * MAX_RAYS):  # ranges, angles, intensities, and the rest
         raise Refused("too-large", f"{where}: {commas:,} values, expected at most {most:,}")
-    return read_jsonl_line(text, where)
+    if (found := read_jsonl_line(text, where)) is None:
+        raise ScanError(f"{where}: ranges: missing, expected a scan")
+    return found
 
 
 _STEPS, _TURNS = ("angle_min", "angle_max", "angle_increment"), 4 * math.pi  # radians

@@ -12,6 +12,7 @@ r0,r1
 import json
 import math
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,16 +21,15 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError, OutputError
+from imgloc.io.bags import LASER, ODOMETRY, TF
 from imgloc.io.files import PathLike, display, write_bytes_atomic
+from imgloc.io.lasers import scan_topics
 from imgloc.io.messages import scan_to_msg
 from imgloc.io.scans import write_npz
 from imgloc.io.scanset import ScanSet
 
 _ANY = "JSON lines can contain such scans: end the name in .jsonl"
-_TOPICS = {
-    "/scan": "sensor_msgs/msg/LaserScan", "/odom": "nav_msgs/msg/Odometry",
-    "/tf_static": "tf2_msgs/msg/TFMessage",
-}  # fmt: skip
+_TOPICS = {"/odom": ODOMETRY, "/tf": TF[0], "/tf_static": TF[0]}
 _LIMITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min",
            "range_max")  # fmt: skip
 
@@ -52,8 +52,10 @@ def convert(scans: ScanSet, path: PathLike, *, force: bool = False) -> None:
 
 
 def csv_of(scans: ScanSet) -> str:
-    """One scan a line; ConfigError if their angles or limits differ, or are not evenly spaced."""
+    """One scan a line of one laser; ConfigError if angles or limits differ, or are not even."""
     first = scans[0]
+    if len(scans.lasers) > 1:
+        raise ConfigError(f"CSV: no column names the laser, and there are several; {_ANY}")
     about = [(scan.range_min, scan.range_max, scan.time_increment) for scan in scans.scans]
     even = np.linspace(first.angles[0], first.angles[-1], len(first.angles))
     alike = all(np.array_equal(scan.angles, first.angles) for scan in scans.scans)
@@ -85,7 +87,8 @@ def jsonl_of(scans: ScanSet) -> str:
             "range_max": scan.range_max, "time_increment": scan.time_increment or None,
             "pose": None if scans.poses is None else scans.poses[k].tolist(),
             "odom": None if scans.odom is None else scans.odom[k].tolist(),
-            "mount": None if mount is None else list(mount), "ranges": scan.ranges.tolist(),
+            "mount": None if mount is None else list(mount), "laser": scan.laser or None,
+            "ranges": scan.ranges.tolist(),
         }  # fmt: skip
         lines.append(json.dumps({key: _plain(v) for key, v in entry.items() if v is not None}))
     return "\n".join(lines) + "\n"
@@ -103,7 +106,8 @@ def _plain(value: Any) -> Any:
 def mcap_of(scans: ScanSet) -> bytes:
     """A recording of ROS 2 with /scan, and /odom and /tf_static where they are known.
 
-    A log without stamps has a scan a second. Known poses have no topic.
+    Of several lasers each has a topic and a frame of its own. A log without stamps has a scan
+    a second. Known poses have no topic.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -124,27 +128,35 @@ def mcap_of(scans: ScanSet) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder, "scans")
         with Writer(place, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-            to = {t: bag.add_connection(t, kind, typestore=store) for t, kind in _TOPICS.items()}
+            topics = scan_topics(scans.lasers)
+            kinds = {**dict.fromkeys(topics.values(), LASER), **_TOPICS}
+            to = {t: bag.add_connection(t, kind, typestore=store) for t, kind in kinds.items()}
+            seen = {(scan.laser, scan.T_base_laser) for scan in scans.scans}
+            places, placed = Counter(laser for laser, _ in seen), set[str]()
             for k, scan in enumerate(scans.scans):
                 seconds = scan.stamp if math.isfinite(scan.stamp) else float(k + 1)
                 fields = scan_to_msg(replace(scan, stamp=seconds))
                 stamp = made("builtin_interfaces/Time", *fields["header"]["stamp"].values())
 
                 def write(topic: str, message: Any, at: float = seconds) -> None:
-                    data = store.serialize_cdr(message, _TOPICS[topic])
+                    data = store.serialize_cdr(message, kinds[topic])
                     bag.write(to[topic], round(1e9 * at), bytes(data))
 
                 limits = (float(fields[key]) for key in _LIMITS)
                 ranges, none = np.array(fields["ranges"], np.float32), np.zeros(0, np.float32)
-                header = made("std_msgs/Header", stamp, "laser")
-                write("/scan", made("sensor_msgs/LaserScan", header, *limits, ranges, none))
-                if k == 0 and (mount := scan.T_base_laser) is not None:
+                topic, mount = topics[scan.laser], scan.T_base_laser
+                frame = "laser" if len(topics) == 1 else topic.strip("/").replace("/", "_")
+                header = made("std_msgs/Header", stamp, frame)
+                write(topic, made("sensor_msgs/LaserScan", header, *limits, ranges, none))
+                moves = places[scan.laser] > 1
+                if mount is not None and (moves or topic not in placed):
+                    placed.add(topic)
                     header = made("std_msgs/Header", stamp, "base_link")
                     link = made(
                         "geometry_msgs/Transform", vector(mount.x, mount.y), turn(mount.theta)
                     )
-                    link = made("geometry_msgs/TransformStamped", header, "laser", link)
-                    write("/tf_static", made("tf2_msgs/TFMessage", [link]))
+                    link = made("geometry_msgs/TransformStamped", header, frame, link)
+                    write("/tf" if moves else "/tf_static", made("tf2_msgs/TFMessage", [link]))
                 if scans.odom is not None and np.isfinite(scans.odom[k]).all():
                     x, y, theta = scans.odom[k].tolist()
                     pose = made("geometry_msgs/Pose", vector(x, y, "Point"), turn(theta))

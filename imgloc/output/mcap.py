@@ -4,7 +4,8 @@
 topic                    schema               what it has
 ======================== ==================== ====================================================
 ``/map``                 foxglove.Grid        the map, once
-``/scan``                foxglove.LaserScan   each scan at the best place, whatever the verdict
+``/scan``                foxglove.LaserScan   each scan at the best place, whatever the verdict;
+                                              of several lasers each has a topic of its own
 ``/imgloc/hypotheses``   PosesInFrame         every place, best first
 ``/imgloc/pose``         PoseInFrame          the pose while it is unique, and at no other time
 ``/tf``                  FrameTransform       ``map`` to ``base_link``, at the same times
@@ -16,6 +17,7 @@ topic                    schema               what it has
 import importlib
 import math
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,6 +29,7 @@ from imgloc.filters.belief import UNIQUE
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.io.files import PathLike, display, write_bytes_atomic
+from imgloc.io.lasers import scan_topics
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.output.rows import moment_row
 
@@ -43,6 +46,8 @@ class Recording:
     Parameters
     ----------
     grid : OccupancyGrid
+    lasers : iterable of str
+        Of which laser each scan is.
 
     Raises
     ------
@@ -50,7 +55,7 @@ class Recording:
         If foxglove-sdk is not installed; from :meth:`add`, if a stamp is no time that MCAP has.
     """
 
-    def __init__(self, grid: OccupancyGrid) -> None:
+    def __init__(self, grid: OccupancyGrid, lasers: Iterable[str] = ()) -> None:
         try:
             names = ("foxglove", "foxglove.channels", "foxglove.messages", "foxglove.mcap")
             sdk, channels, made, mcap = map(importlib.import_module, names)
@@ -65,9 +70,12 @@ class Recording:
         options = mcap.MCAPWriteOptions(compression_threads=0)
         row = sdk.Schema(name="imgloc.track", encoding="jsonschema", data=b'{"type": "object"}')
         self._writer = sdk.open_mcap(self._path, context=context, writer_options=options)
+        self._scans = {
+            laser: channels.LaserScanChannel(topic, context=context)
+            for laser, topic in scan_topics(lasers).items()
+        }
         self._to = SimpleNamespace(
             map=channels.GridChannel("/map", context=context),
-            scan=channels.LaserScanChannel("/scan", context=context),
             places=channels.PosesInFrameChannel("/imgloc/hypotheses", context=context),
             pose=channels.PoseInFrameChannel("/imgloc/pose", context=context),
             tf=channels.FrameTransformChannel("/tf", context=context),
@@ -97,7 +105,7 @@ class Recording:
             laser = compose(moment.best, scan.T_base_laser or Pose2D(0.0, 0.0))
             angles, ranges = evenly(scan)
             ends = {"start_angle": float(angles[0]), "end_angle": float(angles[-1])}
-            to.scan.log(
+            self._scans.get(scan.laser, next(iter(self._scans.values()))).log(
                 made.LaserScan(**frame, pose=self._pose(laser), ranges=ranges.tolist(), **ends),
                 **now,
             )

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -35,7 +35,7 @@ class Source:
         return f"tf {self.frame} -> {self.child}" if self.tf else self.name
 
     def named(self, asked: str) -> bool:
-        """Whether somebody asks for it, by its topic or one of its frames."""
+        """Return whether somebody asks for it, by its topic or one of its frames."""
         names = (self.name.strip("/"), self.frame, self.child)
         return asked.strip("/") in filter(None, names)
 
@@ -60,21 +60,10 @@ class Recording:
     maps: tuple[str, ...] = ()  #: topics of maps
 
 
-@dataclass(frozen=True)
-class Picked:
-    """The odometry that was picked, if any; and the names of all that were not."""
-
-    source: Source | None
-    why: str = ""
-    others: tuple[str, ...] = ()
-    robots: tuple[str, ...] = ()
-    truths: tuple[str, ...] = ()
-
-
 def pick_odometry(
-    topics: Sequence[Source], frames: Frames, laser: str, topic: str, asked: str, name: str
-) -> Picked:
-    """Pick the odometry of the robot that carries a laser.
+    topics: Sequence[Source], frames: Frames, laser: str, about: Recording, asked: str, name: str
+) -> tuple[Source | None, Recording]:
+    """Pick the odometry of the robot that carries a laser, if any; name it and the others.
 
     It is the moving frame from which tf leads to the frame of the laser: a topic whose
     `child_frame_id` is a part of the same robot, else a link of tf above the laser that moves.
@@ -87,8 +76,10 @@ def pick_odometry(
         nav_msgs/Odometry by topic.
     frames : Frames
         All transforms of the log.
-    laser, topic : str
-        Frame and topic of the scans.
+    laser : str
+        Frame of the scans.
+    about : Recording
+        The topic of the scans is `taken`.
     asked : str
         Topic or frame that the user names; empty to pick one.
     name : str
@@ -100,7 +91,7 @@ def pick_odometry(
         If `asked` is not there, or several robots have an odometry and nothing tells which one
         carries the laser. The error names the candidates.
     """
-    links = list(_moving(frames, laser))
+    links, topic = list(_moving(frames, laser)), about.taken
     if asked:
         every = [*topics, *links, *_below(frames, asked)]
         found = next((source for source in every if source.named(asked)), None)
@@ -108,7 +99,7 @@ def pick_odometry(
             there = ", ".join(dict.fromkeys(source.words for source in every)) or "none"
             raise ScanError(f"{name}: `odom`: no odometry {asked}; it has {there}")
         rest = tuple(dict.fromkeys(s.words for s in every if s.words != found.words))
-        return Picked(found, "it was asked for", rest)
+        return found, replace(about, odometry=found.words, why="it was asked for", others=rest)
     truths = [s for s in topics if _TRUTH.search(s.name)]
     if any(s.frame.split("/")[-1] not in _FIXED for s in (*topics, *links)):
         truths += [s for s in topics if s.frame.split("/")[-1] in _FIXED and s not in truths]
@@ -131,18 +122,19 @@ def pick_odometry(
                 f"pass `odom`, one of {there}"
             )
     robots = tuple(s.words for s in (*away, *unknown) if s not in linked)
+    about = replace(about, robots=robots, truths=names)
     told = [source for source in linked if len(source.odometry) > 1]
     if told or (linked and not links):
         linked = told or linked
         best = min(linked, key=lambda s: _rank(s, links, topic))
         rest = tuple(s.words for s in linked if s is not best)
         why = f"tf leads from {best.child} to {laser}" if best.child in body else "by its name"
-        return Picked(best, why, rest, robots, names)
+        return best, replace(about, odometry=best.words, why=why, others=rest)
     if links:
         why = f"tf leads from {links[0].child} to {laser}"
         rest = tuple(source.words for source in linked)
-        return Picked(links[0], why, rest, robots, names)
-    return Picked(None, "", (), robots, names)
+        return links[0], replace(about, odometry=links[0].words, why=why, others=rest)
+    return None, about
 
 
 def _rank(source: Source, links: Sequence[Source], topic: str) -> tuple[bool, bool, bool, str]:
