@@ -406,8 +406,6 @@ def spread(count: int, fov: float) -> FloatArray:
 
 def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     """Check that the shapes agree, and cut the arrays into scans."""
-    if "ranges" not in arrays:
-        raise ScanError(f"{name}: ranges: missing, expected an array (scans, readings)")
     ranges = np.atleast_2d(arrays["ranges"])
     n = len(ranges)
     if not ranges.size:
