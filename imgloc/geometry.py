@@ -144,7 +144,7 @@ def centre_of(cells: npt.NDArray[np.integer], resolution: float) -> FloatArray:
 
 
 def inside(cells: IntArray, grid: GridInfo) -> npt.NDArray[np.bool_]:
-    """Whether each (row, col) of (..., 2) lies on the grid."""
+    """Return whether each (row, col) of (..., 2) lies on the grid."""
     r, c = cells[..., 0], cells[..., 1]
     return (r >= 0) & (r < grid.height) & (c >= 0) & (c < grid.width)
 

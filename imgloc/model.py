@@ -532,7 +532,7 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether `value` is on the right side of `limit`."""
+        """True if `value` is on the right side of `limit`."""
         return self.value >= self.limit if self.at_least else self.value <= self.limit
 
 

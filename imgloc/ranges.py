@@ -61,7 +61,7 @@ class Within:
         return f"{low:g} or more" if self.high >= _VAST else f"{low:g} to {high:g}"
 
     def admits(self, value: Any) -> bool:
-        """Whether the value is such a number."""
+        """Return whether the value is such a number."""
         number = isinstance(value, Real) and not isinstance(value, bool)
         return number and self.low <= value <= self.high
 
@@ -76,7 +76,7 @@ class OneOf:
         return f"one of {', '.join(self.names)}"
 
     def admits(self, value: Any) -> bool:
-        """Whether the value is one of them."""
+        """Return whether the value is one of them."""
         return isinstance(value, str) and value in self.names
 
 
@@ -90,7 +90,7 @@ class Matches:
         return self.words
 
     def admits(self, value: Any) -> bool:
-        """Whether the value is such a text."""
+        """Return whether the value is such a text."""
         return (
             isinstance(value, str)
             and len(value) <= self.most
@@ -168,7 +168,7 @@ class Declared:
 
     @property
     def in_degrees(self) -> bool:
-        """Whether the angle is typed in degrees."""
+        """True if the angle is typed in degrees."""
         return self.flag.endswith("-deg")
 
     @property

@@ -45,7 +45,7 @@ _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
 
 
 def is_doubtful(verdict: str, evidence: Evidence) -> bool:
-    """Whether a scan fits nowhere, or several places not well.
+    """Return whether a scan fits nowhere, or several places not well.
 
     Examples
     --------

@@ -244,7 +244,7 @@ def faced(
     *,
     reach: float,
 ) -> BoolArray:
-    """Whether a ray ends on a surface that faces it: (N,) bool.
+    """Return whether a ray ends on a surface that faces it: (N,) bool.
 
     Asked are the surface points about as near as the nearest. One of them must face the sensor
     and have the normal of the scan there, within 30 degrees or two standard deviations. Where

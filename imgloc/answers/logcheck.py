@@ -75,7 +75,7 @@ class LogReport:
 
     @property
     def can_be_followed(self) -> bool:
-        """Whether the log has odometry of a robot that moves, and nothing serious is unmended."""
+        """True if the log has odometry of a robot that moves, and nothing serious is unmended."""
         moves = self.facts.get("odometry") is not None and self.facts["odometry"]["metres"] > 1
         return moves and not any(f.serious and not f.options for f in self.findings)
 
@@ -370,7 +370,7 @@ def _about_odometry(
 
 
 def _changes(scans: ScanSet) -> bool:
-    """Whether the last scans see something else than the first ones."""
+    """Return whether the last scans see something else than the first ones."""
     pairs = ((0, -1), (0, len(scans) // 2), (len(scans) // 3, -1))
     alike = [(scans[a], scans[b]) for a, b in pairs if scans[a].laser == scans[b].laser]
     shares = [overlap(one, other, Pose2D(0.0, 0.0)) for one, other in alike]
@@ -416,7 +416,7 @@ def _about_gaps(
 def _about_motion(
     scans: ScanSet, path: FloatArray, findings: list[Cause], given: Given | None
 ) -> float | None:
-    """Whether scans and odometry agree."""
+    """Return whether scans and odometry agree."""
     if {"units", "odometry-units", "few"} & {finding.code for finding in findings}:
         return None
     found: Agreement = agreement(scans, path)

@@ -104,7 +104,7 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
 
 
 def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
-    """Whether each scan agrees with the one after the next, and not with the next."""
+    """Return whether each scan agrees with the one after the next, and not with the next."""
     starts = evenly(len(scans) - 2, 4 * _PAIRS)
 
     def median(ahead: int, some: IntArray) -> float:

@@ -33,7 +33,7 @@ NOT_TRUE = (
 
 
 def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> bool | None:
-    """Whether scans fit a map at poses that are given; None if they have too few readings.
+    """Return whether scans fit a map at poses that are given; None if they have too few readings.
 
     They fit if most of them have more readings near walls at their poses than elsewhere within 3 m
     and 10 degrees, or nearly as many.

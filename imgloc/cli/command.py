@@ -68,7 +68,7 @@ class Only:
         self.names = names
 
     def takes(self, name: str) -> bool:
-        """Whether the command has an option for the field."""
+        """Return whether the command has an option for the field."""
         return name in self.names
 
 
@@ -76,7 +76,7 @@ class Without(Only):
     """Fields of a dataclass that a command has no options for: these keep their defaults."""
 
     def takes(self, name: str) -> bool:
-        """Whether the command has an option for the field."""
+        """Return whether the command has an option for the field."""
         return name not in self.names
 
 

@@ -94,7 +94,7 @@ def _is_map(path: Path) -> bool:
 
 
 def _is_echo(path: Path) -> bool:
-    """Whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
+    """Return whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
     with contextlib.suppress(OSError), path.open("rb") as file:
         return b"ranges:" in file.read(4096)
     return False

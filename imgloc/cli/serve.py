@@ -4,7 +4,8 @@ import logging
 import os
 import re
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,12 +17,17 @@ from imgloc.cli.command import Typed
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
+from imgloc.io.maps import YAML_ENDINGS
 from imgloc.live.bounds import Bounds
+from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Chosen, Logs, Mounting, Options
 from imgloc.ranges import Option, Within, declared, option
 
 if TYPE_CHECKING:
+    from imgloc.io.scanset import ScanSet
     from imgloc.live.localizer import Localizer
+    from imgloc.live.service import Begun
+    from imgloc.runs.opening import Taken
 
 PORT = 8080
 _NEEDED = ("starlette", "uvicorn", "websockets", "python_multipart", "prometheus_client")
@@ -54,6 +60,7 @@ def serve(
     ),
     bounds: Bounds,
     kept: opt.Kept,
+    typed: Typed,
 ) -> None:
     """Answer over HTTP: where scans are, from which map; and a page at / that shows why.
 
@@ -62,10 +69,10 @@ def serve(
     """
     _check_installed()
     from imgloc.live.guard import Access
-    from imgloc.live.service import Begun, Service
+    from imgloc.live.service import Service
 
     access = Access(host, token or os.environ.get("IMGLOC_TOKEN"), tuple(allow_host))
-    core, paths = _core(maps, reading, taken, kept)
+    core, begun = _core(maps, reading, taken, kept, typed)
 
     def show(address: str) -> None:
         emit(address)
@@ -73,7 +80,7 @@ def serve(
             there = re.sub(r"//(0\.0\.0\.0|\[::\])", f"//{socket.gethostname()}", address)
             say(f"in a browser: {there}/#token=TOKEN, with your token instead of TOKEN")
 
-    _run(lambda: Service(core, access, bounds, Begun(paths)), host, port, show)
+    _run(lambda: Service(core, access, bounds, begun), host, port, show)
 
 
 def open(  # noqa: A001 (the command's name)
@@ -97,24 +104,61 @@ def open(  # noqa: A001 (the command's name)
     import webbrowser
 
     from imgloc.cli import inputs
-    from imgloc.live.service import Begun, ScansHeld, Service
+    from imgloc.live.service import ScansHeld, Service
 
     opened = None
     if scans_path is not None:
         how = inputs.as_recorded(logs, chosen, mounting)
         there = inputs.desk_of(**vars(taken)).scans(scans_path, how)
         mounting.check(there.scans.scans)
-        known = {field.flag for kind in (Logs, Mounting) for field in declared(kind)}
-        words = tuple("=".join(some) for flag, some in typed.items() if flag in known)
-        indices = None if len(there.indices) == there.total else tuple(there.indices)
-        opened = ScansHeld(there.name, there.scans, (), words, indices)
-    core, paths = _core([map_path], reading, taken, kept)
+        chosen_few = None if len(there.indices) == there.total else tuple(there.indices)
+        opened = ScansHeld(
+            there.name, _recorded(there, logs, mounting), options=_passed(typed, Logs, vars(logs)),
+            indices=chosen_few, taken=_taken(logs, mounting),
+        )  # fmt: skip
+    core, begun = _core([map_path], reading, taken, kept, typed)
 
     def show(address: str) -> None:
         emit(address)
         webbrowser.open(address)
 
-    _run(lambda: Service(core, given=Begun(paths, opened)), _LOCAL, port, show)
+    _run(lambda: Service(core, given=replace(begun, opened=opened)), _LOCAL, port, show)
+
+
+_TAKEN = ("scale", "range_max", "sensor", "flipped")  # the page has controls for them
+
+
+def _taken(logs: Logs, mounting: Mounting) -> dict[str, Any]:
+    """How the scans were taken, as the service's parameters say it; None for what is as usual."""
+    said = {"range_scale": None if logs.scale == 1 else logs.scale, "range_max": logs.range_max}
+    sensor = None if mounting.sensor is None else ",".join(map(str, mounting.sensor))
+    return {**said, "sensor": sensor, "flipped": mounting.flipped or None}
+
+
+def _recorded(there: "Taken", logs: Logs, mounting: Mounting) -> "ScanSet":
+    """The scans as the page has them before it applies how they were taken, which it may change."""
+
+    def back(scan: LaserScan, recorded: LaserScan) -> LaserScan:
+        if mounting.sensor is not None:
+            recorded = replace(recorded, T_base_laser=None)
+        if logs.straighten == "no":
+            return recorded
+        scan = scan.flipped if mounting.flipped else scan
+        ranges, pace = scan.ranges / logs.scale, scan.time_increment
+        return replace(recorded, ranges=ranges, angles=scan.angles, time_increment=pace)
+
+    scans = tuple(map(back, there.scans.scans, there.recorded.scans))
+    return replace(there.recorded, scans=scans)
+
+
+def _passed(
+    typed: Typed, kind: Any, values: Mapping[str, Any], without: Sequence[str] = _TAKEN
+) -> tuple[tuple[str, str], ...]:
+    """The options of a group that were typed: as a command takes them, and as Python does."""
+    parts = [one for one in declared(kind) if one.flag in typed and one.name not in without]
+    given = {one.name: values[one.name] for one in parts}
+    plain = {key: tuple(v) if isinstance(v, Pose2D) else v for key, v in given.items()}
+    return tuple(("=".join(typed[one.flag]), f"{one.name}={plain[one.name]!r}") for one in parts)
 
 
 def _check_installed() -> None:
@@ -130,10 +174,12 @@ def _core(
     reading: opt.MapImages,
     taken: opt.Resources,
     kept: opt.Kept,
-) -> "tuple[Localizer, dict[str, str]]":
-    """The maps, which are prepared from now on, and what each is called on a command line."""
+    typed: Typed,
+) -> "tuple[Localizer, Begun]":
+    """The maps, which are prepared from now on, and how each is read on a command line."""
     from imgloc.cli import inputs
     from imgloc.live.localizer import Localizer
+    from imgloc.live.service import Begun
 
     options = Options(**vars(taken))
     folder, paths = inputs.kept_in(kept), _named(given, reading)
@@ -141,7 +187,15 @@ def _core(
     makers, keep = inputs.site_makers(paths, maps, options, folder)
     core = Localizer(makers, options, background=True, prepared=keep)
     bundled = {opt.find_map(path): display(path) for path in given}
-    return core, {name: bundled.get(path, display(path)) for name, path in paths.items()}
+    how = {
+        name: _passed(
+            typed, opt.MapImages, reading,
+            ("resolution", "origin") if maps.many and path.suffix.lower() in YAML_ENDINGS else (),
+        )
+        for name, path in paths.items()
+    }  # fmt: skip
+    names = {name: bundled.get(path, display(path)) for name, path in paths.items()}
+    return core, Begun(names, options=how)
 
 
 def _named(given: Sequence[Path], reading: opt.MapImages) -> dict[str, Path]:

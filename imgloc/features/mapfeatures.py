@@ -144,7 +144,7 @@ class MapFeatures:
 
     @property
     def peels(self) -> bool:
-        """Whether :meth:`thinner` walls are worth their memory: not on very large maps."""
+        """True if :meth:`thinner` walls are worth their memory: not on very large maps."""
         return self.grid.occupied.size <= PEELED_CELLS
 
     def thinner(self, cells: int) -> "MapFeatures":

@@ -85,7 +85,7 @@ _PLACES = number("belief.places")
 
 
 def one_place(a: Pose2D, b: Pose2D) -> bool:
-    """Whether two poses of one frame belong to one place."""
+    """Return whether two poses of one frame belong to one place."""
     turned = abs(float(wrap(b.theta - a.theta)))
     return bool(np.hypot(b.x - a.x, b.y - a.y) < PLACE[0] and turned < PLACE[1])
 

@@ -241,7 +241,7 @@ def _whole(scans: ScanSet, name: str) -> _Steps:
 
 
 def moves(scans: ScanSet) -> bool:
-    """Whether a log has odometry, and that ever moves."""
+    """Return whether a log has odometry, and that ever moves."""
     if scans.odom is None or not (known := np.isfinite(scans.odom).all(axis=1)).any():
         return False
     return len(scans) < 2 or bool(np.ptp(scans.odom[known], axis=0).any())

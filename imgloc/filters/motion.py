@@ -85,7 +85,7 @@ def way_of(increment: FloatArray) -> FloatArray:
 
 
 def stands(step: FloatArray) -> bool:
-    """Whether a motion (3,) is that of a robot that stands."""
+    """Return whether a motion (3,) is that of a robot that stands."""
     return bool((way_of(step) < _STANDS).all())
 
 

@@ -138,7 +138,7 @@ def dragged(belief: Belief, place: FloatArray | None, step: FloatArray) -> float
 
 
 def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatArray) -> bool:
-    """Whether a scan that has not changed should have, as the robot moved by `step` (3,).
+    """Return whether a scan that has not changed should have, as the robot moved by `step` (3,).
 
     It should if the map expects other readings at each place that the belief holds. A short step is
     prolonged, because a map shows no change within a cell.

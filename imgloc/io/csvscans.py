@@ -287,7 +287,7 @@ class _Table:
             raise ScanError(f"{self.name}: contains no scan, expected one per line")
 
     def _turns(self, fov: float | None) -> bool:
-        """Whether the first column holds angles, and each other one a scan."""
+        """Return whether the first column holds angles, and each other one a scan."""
         table = np.array([row for _, row in self.rows])
         if fov is not None or self.settings.keys() & {"angles", "angle_min"} or table.shape[1] < 3:
             return False
@@ -382,7 +382,7 @@ class _Table:
 
 
 def _is_echo(cells: Sequence[str]) -> bool:
-    """Whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
+    """Return whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
     numbers = [bool(cell) and _is_number(cell) for cell in cells[: _ECHO + 1]]
     return len(cells) > _ECHO and numbers == [True] * 2 + [False] + [True] * (_ECHO - 2)
 
@@ -396,7 +396,7 @@ def _rays_of(said: Mapping[str, float]) -> int:
 
 
 def _beyond(said: Mapping[str, float], values: FloatArray) -> bool:
-    """Whether the last cell is empty, and beyond the last ray that the line names."""
+    """Return whether the last cell is empty, and beyond the last ray that the line names."""
     if not {"angle_max", "angle_increment"} <= said.keys() or not said["angle_increment"]:
         return False
     return bool(np.isnan(values[-1])) and len(values) > _rays_of(said)

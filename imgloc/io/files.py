@@ -130,12 +130,12 @@ def is_there(path: PathLike) -> bool:
 
 
 def is_folder(path: PathLike) -> bool:
-    """Whether a path leads to a folder, as :func:`is_there`."""
+    """Return whether a path leads to a folder, as :func:`is_there`."""
     return os.path.isdir(path)  # noqa: PTH112
 
 
 def is_file(path: PathLike) -> bool:
-    """Whether a path leads to a regular file, as :func:`is_there`."""
+    """Return whether a path leads to a regular file, as :func:`is_there`."""
     return os.path.isfile(path)  # noqa: PTH113
 
 

@@ -270,7 +270,7 @@ def reading_of(path: Path, reading: Reading) -> Reading:
 
 
 def looks_swapped(grid: OccupancyGrid) -> bool:
-    """Whether black and white are swapped: free space thin as walls, walls wide as rooms.
+    """Return whether black and white are swapped: free space thin as walls, walls wide as rooms.
 
     Examples
     --------
@@ -308,7 +308,7 @@ def looks_drawn(grid: OccupancyGrid) -> bool:
 
 
 def lacks_unknown(grid: OccupancyGrid) -> bool:
-    """Whether next to nothing is unknown but the soft edges of what is drawn."""
+    """Return whether next to nothing is unknown but the soft edges of what is drawn."""
     inner = cv2.erode(grid.unknown.view(np.uint8), np.ones((3, 3), np.uint8))
     return float(np.count_nonzero(inner)) < 0.005 * inner.size
 

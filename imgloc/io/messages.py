@@ -256,7 +256,7 @@ def seconds_of(stamp: Any) -> float:
 
 
 def has_field(message: Any, name: str) -> bool:
-    """Whether a message, or a mapping, has a field."""
+    """Return whether a message, or a mapping, has a field."""
     return name in message if isinstance(message, Mapping) else hasattr(message, name)
 
 

@@ -134,7 +134,7 @@ def _check(value: Any, kind: Any, depth: int) -> None:
 
 
 def _is_fine(value: Any, kind: Any) -> bool:
-    """Whether a value is of its kind; the most frequent kinds are checked first."""
+    """Return whether a value is of its kind; the most frequent kinds are checked first."""
     if kind is object:
         return _is_plain(value)
     if type(value) is float:
@@ -144,7 +144,7 @@ def _is_fine(value: Any, kind: Any) -> bool:
 
 
 def _is_plain(value: Any) -> bool:
-    """Whether all in a value is fine, whatever its kind; level by level, not one by one."""
+    """Return whether all in a value is fine, whatever its kind; level by level, not one by one."""
     level = [value]
     for _ in range(10):
         below: list[Any] = []
@@ -178,7 +178,7 @@ def _inside(item: Any, kind: Any, name: str | int, depth: int) -> None:
 
 
 def _is(value: Any, kind: Any) -> bool:
-    """Whether a value is of a kind that has no others in it."""
+    """Return whether a value is of a kind that has no others in it."""
     if kind is object:
         return value is None or _is(value, type(value))
     if kind is None:
@@ -243,7 +243,7 @@ def open_arrays(path: PathLike, *, limit: int, what: str) -> Iterator[tuple[Any,
 
 
 def same_file(descriptor: int, path: PathLike) -> bool:
-    """Whether a file that is open is what a path leads to still."""
+    """Return whether a file that is open is what a path leads to still."""
     try:
         return os.path.samestat(os.fstat(descriptor), os.lstat(path))
     except (OSError, ValueError):

@@ -24,7 +24,7 @@ _ADDRESS = re.compile(r"[a-z][a-z0-9+]+:/+[^/]")
 
 
 def is_address(path: PathLike) -> bool:
-    """Whether `path` names a file that is not on this machine, or in an archive."""
+    """Return whether `path` names a file that is not on this machine, or in an archive."""
     return bool(_ADDRESS.match(str(path)))
 
 

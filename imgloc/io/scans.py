@@ -265,7 +265,7 @@ def format_of(path: PathLike) -> str:
 
 
 def has_topics(path: PathLike) -> bool:
-    """Whether a file may hold several lasers, each with a name.
+    """Return whether a file may hold several lasers, each with a name.
 
     A bag and a CARMEN log may, as may JSON that names topics.
     """

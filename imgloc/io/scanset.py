@@ -122,7 +122,7 @@ class ScanSet(ByContent):
 
     @property
     def poses_are_odometry(self) -> bool:
-        """Whether one set of poses is both: a log that has no other may hold either in it."""
+        """True if one set of poses is both: a log that has no other may hold either in it."""
         both = self.poses is not None and self.odom is not None
         return both and np.array_equal(self.poses, self.odom, equal_nan=True)  # type: ignore[arg-type]
 

@@ -27,7 +27,7 @@ _PAUSE = 0.05  # seconds between two looks at the end of a file
 
 
 def is_pipe(path: Path) -> bool:
-    """Whether a path is a named pipe."""
+    """Return whether a path is a named pipe."""
     try:
         return stat.S_ISFIFO(path.stat().st_mode)
     except (OSError, ValueError):

@@ -296,7 +296,7 @@ def _looked_up(field: DistanceField, xy: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def _same_way(facing: FloatArray, alpha: FloatArray) -> BoolArray:
-    """Whether directions (N, 2) are within 60 degrees of angles (N,)."""
+    """Return whether directions (N, 2) are within 60 degrees of angles (N,)."""
     along = facing[:, 0] * np.cos(alpha) + facing[:, 1] * np.sin(alpha)
     return np.asarray(along > 0.5 * np.hypot(*facing.T))
 
@@ -412,13 +412,13 @@ class Agreement:
 
     @property
     def plausible(self) -> bool:
-        """Whether so much agrees, and so much is shared, that it may be the same place."""
+        """True if so much agrees, and so much is shared, that it may be the same place."""
         share, length, overlap = _LEAST
         return bool(self.share >= share and self.hit >= length and self.overlap >= overlap)
 
     @property
     def plain(self) -> bool:
-        """Whether so much agrees that no chance makes it."""
+        """True if so much agrees that no chance makes it."""
         share, overlap = _PLAIN
         return bool(self.share >= share and self.overlap >= overlap)
 
@@ -600,7 +600,7 @@ class Place:
 
     @property
     def allowed(self) -> bool:
-        """Whether the scale is one of those that are searched, 0.8 to 1.25."""
+        """True if the scale is one of those that are searched, 0.8 to 1.25."""
         return bool(SCALES[0] <= self.scale <= SCALES[1])
 
 

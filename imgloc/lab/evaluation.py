@@ -351,7 +351,7 @@ def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int,
 
 
 def _next_to(a: tuple[int, int, int], b: tuple[int, int, int], n: int) -> bool:
-    """Whether no coordinate differs by more than one, theta around the circle."""
+    """Return whether no coordinate differs by more than one, theta around the circle."""
     turn = abs(a[0] - b[0])
     return min(turn, n - turn) <= 1 and max(abs(a[1] - b[1]), abs(a[2] - b[2])) <= 1
 

@@ -82,7 +82,7 @@ class ScannedFilter(ABC):
         """Do nothing for a blind scan, because motion alone widens the belief."""
 
     def watch(self, scan: LaserScan) -> bool:
-        """Whether a scan contradicts the best place."""
+        """Return whether a scan contradicts the best place."""
         seen = usable(scan, self.options)
         if seen is None or not len(self._best):
             return False

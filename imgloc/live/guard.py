@@ -76,11 +76,11 @@ class Access:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this machine reaches the service."""
+        """True if only this machine reaches the service."""
         return _loopback(self.host)
 
     def admits(self, host: str) -> bool:
-        """Whether the Host of a request is this service."""
+        """Return whether the Host of a request is this service."""
         name = host_name(host)
         known = {*_LOCAL, self.host, *(given.lower() for given in self.names)}
         if not self.loopback:  # no address can be rebound, only a name

@@ -82,7 +82,7 @@ class Line:
 
     @property
     def busy(self) -> bool:
-        """Whether the worker is at work."""
+        """True if the worker is at work."""
         return self._busy
 
     @property

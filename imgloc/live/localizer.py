@@ -174,7 +174,7 @@ class Localizer:
 
     @property
     def ready(self) -> bool:
-        """Whether every map is prepared: no later answer has to make anything of a map."""
+        """True if every map is prepared: no later answer has to make anything of a map."""
         entries = tuple(self._entries.values())
         prepared = bool(entries) and all(entry.site is not None for entry in entries)
         indexed = not self._compared() or self._indexed() is not None
@@ -274,7 +274,7 @@ class Localizer:
 
     @property
     def busy(self) -> bool:
-        """Whether a scan is being looked at."""
+        """True if a scan is being looked at."""
         return self._line.busy
 
     @property

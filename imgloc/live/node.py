@@ -467,7 +467,7 @@ class LocalizerNode:
             future.add_done_callback(self._done)
 
     def _stays(self, odom: Pose2D | None) -> bool:
-        """Whether one scan of this place has not been asked alone yet: it is asked once."""
+        """Return whether one scan of this place has not been asked alone yet: it is asked once."""
         here = odom or Pose2D(0.0, 0.0)
         if self._stood is not None and _still(self._stood, here):
             return False
@@ -820,7 +820,7 @@ class LocalizerNode:
         return level, said.replace("~/", f"{self.node.get_fully_qualified_name()}/")
 
     def _silent(self, laser: Topic) -> bool:
-        """Whether a laser has said nothing for too long."""
+        """Return whether a laser has said nothing for too long."""
         return time.monotonic() - laser.heard > self.settings.scan_timeout
 
     def _frozen(self, laser: Topic) -> bool:
@@ -939,7 +939,7 @@ class LocalizerNode:
 
 
 def _still(then: Pose2D, here: Pose2D) -> bool:
-    """Whether a robot that was there has hardly moved."""
+    """Return whether a robot that was there has hardly moved."""
     turned = abs(math.remainder(here.theta - then.theta, math.tau))
     return math.hypot(here.x - then.x, here.y - then.y) < _STILL[0] and turned < _STILL[1]
 

@@ -73,7 +73,7 @@ class FirstPose:
 
     @property
     def wanted(self) -> bool:
-        """Whether a first pose is looked for."""
+        """True if a first pose is looked for."""
         return self.state in (WAITING, TRYING)
 
     def believed(self, found: Sighting, now: float) -> bool:
@@ -93,7 +93,7 @@ class FirstPose:
         return False
 
     def due(self, stamp: float, odom: Pose2D | None) -> bool:
-        """Whether a scan is to be asked alone; :meth:`answered` has to follow then."""
+        """Return whether a scan is to be asked alone; :meth:`answered` has to follow then."""
         if self._open or not self.wanted:
             return False
         if self._asked is not None:
@@ -112,7 +112,7 @@ class FirstPose:
             self.state = GIVEN_UP
 
     def fresh(self, stamp: float, now: float) -> bool:
-        """Whether a scan is young enough; one from the future, by another clock, is not."""
+        """Return whether a scan is young enough; one from the future, by another clock, is not."""
         return abs(now - stamp) <= self.rules.max_age
 
     def published(self) -> None:
@@ -121,7 +121,7 @@ class FirstPose:
 
 
 def alone(answer: Localization) -> bool:
-    """Whether one scan is so sure of a place that a robot which stands may be told it."""
+    """Return whether one scan is so sure of a place that a robot which stands may be told it."""
     if answer.verdict != "unique" or not answer.protection:
         return False
     mass, level = _ALONE

@@ -79,7 +79,7 @@ def load_kept(path: PathLike) -> Kept | None:
 
 
 def checked(kept: Kept, answer: Localization, map_identity: str) -> tuple[str, Pose2D | None]:
-    """Whether a remembered pose holds, by the answer of a first scan on the whole map.
+    """Return whether a remembered pose holds, by the answer of a first scan on the whole map.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ from imgloc.answers.causes import Given
 from imgloc.answers.diagnose import doubts, is_doubtful
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
-from imgloc.errors import ConfigError, as_options
+from imgloc.errors import ConfigError
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import map_hash
@@ -55,7 +55,7 @@ from imgloc.live.robots import Robots
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
 from imgloc.model import FloatArray, LaserScan, Likelihood, plain, to_json
-from imgloc.options import FUSED, Chosen, Known, Prior
+from imgloc.options import FUSED, Chosen, Known, Prior, Shared
 from imgloc.output.rows import answer_row, scan_row
 from imgloc.pipeline import localize, prepare
 from imgloc.search.asked import answer_bytes
@@ -79,8 +79,11 @@ class ScansHeld:
     name: str
     scans: ScanSet
     warnings: tuple[str, ...] = ()  #: of its reader
-    options: tuple[str, ...] = ()  #: of the command that has opened it
+    #: how it was read: options of the command that has opened it, each with Python's argument
+    options: tuple[tuple[str, str], ...] = ()
     indices: tuple[int, ...] | None = None  #: of these scans in the file, if they are not all
+    #: how its scans were taken, by parameters of requests: the page begins with it
+    taken: Mapping[str, Any] = field(default_factory=dict)
 
     def about(self, id_: str) -> dict[str, Any]:
         """What is in it."""
@@ -90,7 +93,7 @@ class ScansHeld:
         return (
             {"id": id_, "name": self.name, "scans": len(s), "readings": readings}
             | {key: value is not None for key, value in known.items()}
-            | {"warnings": self.warnings, "options": self.options, "indices": self.indices}
+            | {key: getattr(self, key) for key in ("warnings", "options", "indices", "taken")}
         )
 
 
@@ -104,6 +107,8 @@ class Begun:
     #: paths of the maps, by name, as the command line has them
     paths: Mapping[str, str] = field(default_factory=dict)
     opened: ScansHeld | None = None  #: scans that the page shows first
+    #: by which the maps are read, by name, as those of scans
+    options: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -368,6 +373,7 @@ class Service:
                 "width": width, "height": height, "resolution": grid.resolution,
                 "origin": grid.origin, "free_m2": float(grid.free.sum()) * grid.resolution**2,
                 "version": map_hash(grid), "path": self.given.paths.get(name),
+                "calibrated": bool(site.calibrations) or site.shared != Shared(),
                 "warnings": [text for text, seen in ((SWAPPED, looks_swapped(grid)),
                                                      (DRAWN, looks_drawn(grid))) if seen],
             }  # fmt: skip
@@ -375,7 +381,7 @@ class Service:
         with contextlib.suppress(Refused):
             label = self._maps.get(name)
         return {"id": name, "name": label or name, "uploaded": label is not None,
-                **self._about[features]}  # fmt: skip
+                "options": self.given.options.get(name, ()), **self._about[features]}  # fmt: skip
 
     async def _list(self, ask: Ask) -> Response:
         names, b, opened = self._names, self.bounds, self.given.opened
@@ -550,7 +556,7 @@ class Service:
         return _rows([await row(k) for k in chosen])
 
     async def _doubts(self, ask: Ask) -> Response:
-        """What keeps a scan from fitting, as the command says it."""
+        """What keeps a scan from fitting, as the command says it; its options in backquotes."""
         site, values = self._site(ask.values["map"])[1], ask.values
         chosen, (scans, _), prior = await self._asked(ask, site)
 
@@ -563,7 +569,7 @@ class Service:
                 return []
             given = Given(values["flipped"], values["range_scale"])
             hints = doubts(site.features, ScanSet((scan,)), said, options, given)
-            return [as_options(hint.said) for hint in hints]
+            return [hint.said for hint in hints]
 
         return JSONResponse({"hints": await ask.run(text)})
 

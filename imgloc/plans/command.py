@@ -1,6 +1,6 @@
 """`imgloc map plan`: a map of a floor plan."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,10 +10,13 @@ from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError, MapError, as_options
 from imgloc.io.files import display, is_file
 from imgloc.options import MemoryBudget
-from imgloc.ranges import Within, check_of, option
+from imgloc.ranges import OneOf, Within, check_of, option
 from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     from imgloc.io.images import ImageSize
     from imgloc.io.mapyaml import MapYaml
     from imgloc.model import Pose2D
@@ -51,35 +54,53 @@ class Drawing:
 
 def plan(
     *,
-    path: Path = option(..., "Image of a floor plan: PNG, JPEG, TIFF ...", "PLAN"),
+    path: Path = option(
+        ...,
+        "Floor plan: an image (PNG, JPEG, TIFF ...), or a drawing (DXF, SVG, PDF; pip install "
+        "'imgloc[cad]').",
+        "PLAN",
+    ),
     out: Path = option(
         ...,
-        "Map that is written; its image gets the same name with .png.",
+        "Map that is written; its image gets the same name with .png. Of a drawing with several "
+        "floors the largest one; the others are NAME-2.yaml and so on.",
         "--out",
         "-o",
         metavar="YAML",
     ),
     resolution: PlanScale | None = option(
         None,
-        "Side of a pixel of the plan, metres. [default: found by --distance, or that of a YAML "
-        "beside the plan]",
+        "Side of a pixel of the plan, or unit of a drawing, metres. [default: found by "
+        "--distance, or that of a YAML beside the plan; a DXF has it]",
         metavar="M",
     ),
     distance: Any = option(
         None,
-        "Two points of the plan, in pixels from its upper left corner, and the metres between "
-        "them: the ends of a dimension line, or of an outer wall. They tell the size of a pixel.",
+        "Two points of the plan, in pixels from its upper left corner or in units of a drawing, "
+        "and the metres between them: the ends of a dimension line, or of an outer wall. They tell "
+        "the scale.",
         metavar="X1,Y1,X2,Y2,M",
         parse=numbers(5),
     ),
     origin: "Pose2D | None" = option(
         None,
-        "Pose of the plan's lower-left corner in the map frame: metres, metres, radians (or "
-        "90deg). [default: that of a YAML beside the plan, or 0,0,0]",
+        "Pose of the plan's lower-left corner, or of the zero point of a drawing, in the map "
+        "frame: metres, metres, radians (or 90deg). [default: that of a YAML beside the plan, or "
+        "0,0,0]",
         metavar="X,Y,YAW",
         parse=pose,
     ),
     drawing: Drawing,
+    doors: Annotated[str, OneOf("open", "closed", "unknown")] = option(
+        "open", "Doors of a drawing are left open, are closed, or are unknown space."
+    ),
+    walls: str | None = option(
+        None,
+        "Layers of a drawing that are its walls, with commas between. [default: by their names, "
+        "or else by what lines look like]",
+        metavar="NAME,...",
+    ),
+    furniture: bool = option(False, "Keep the furniture of a drawing: its lines are occupied."),
     picture: Path | None = option(
         None,
         "Draw the plan, with what was taken from it in colour, beside the map into this file.",
@@ -91,17 +112,19 @@ def plan(
 ) -> None:  # fmt: skip
     """Make a map of a floor plan: walls as they stand, doors open, nothing else.
 
+    A drawing states what an image only shows: layers, blocks, doors, units. Names of layers and
+    blocks are understood in several languages.
+
     Walls may be filled, two lines, hatched, or single thick lines. Door swings, text, furniture,
     stairs, dimensions and thin lines are taken away, and what is outside becomes unknown. The
     building is the largest space within walls: frames, titles and legends are not part of it.
     """
     from imgloc.cli import inputs
-    from imgloc.io.images import image_size
     from imgloc.io.maps import save_map
     from imgloc.model import to_json
-    from imgloc.plans.files import load_plan
-    from imgloc.plans.floorplan import STEPS, plan_bytes, plan_to_map
+    from imgloc.plans.floorplan import STEPS
     from imgloc.plans.picture import draw_floor_plan
+    from imgloc.plans.vectors import READERS
 
     beside = _beside(path)
     read = [path] if beside is None else [path, path.with_suffix(".yaml")]
@@ -110,38 +133,87 @@ def plan(
         inputs.check_target(target, ending, force=force, inputs=read)
     if picture is not None and picture.resolve() == png.resolve():
         raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
-    name, budget = display(path), opt.fixed_budget(memory_budget)
-    size = image_size(path)
+    name = display(path)
     if beside is not None:
         origin = beside.origin if origin is None else origin
         if resolution is None and distance is None:
             resolution = beside.resolution
-    scale = _scale(name, resolution, distance, size)
-    what = f"{name}: a plan of {size.width} x {size.height} pixels"
+    try:
+        if path.suffix.lower() in READERS:
+            floors = _drawn(path, resolution, distance, origin, drawing, doors, walls, furniture)
+            greys = [255 - 255 * (f.kinds > 0).astype("uint8") for f in floors]
+        else:
+            with progress("plan", STEPS, lines=False) as advance:
+                inverted = True if beside is not None and beside.negate else None
+                grey, resolution, found = _pixels(
+                    path, resolution, distance, origin, drawing,
+                    opt.fixed_budget(memory_budget), advance, inverted,
+                )  # fmt: skip
+            floors, greys = [found], [grey]
+    except MapError as error:
+        raise MapError(str(error) if name in str(error) else f"{name}: {error}") from None
+    # All names are free, or none is written.
+    targets = [out] + [out.with_stem(f"{out.stem}-{k}") for k in range(2, len(floors) + 1)]
+    for target in targets[1:]:
+        for ending in (".yaml", ".png"):
+            inputs.check_target(target.with_suffix(ending), ending, force=force, inputs=read)
+    for k, (target, grey, found) in enumerate(zip(targets, greys, floors, strict=True), 1):
+        save_map(target, found.grid, force=force)
+        if found.doubt:
+            LOG.warning("%s: %s", name, as_options(found.doubt))
+        if picture is not None:
+            to = picture if k == 1 else picture.with_stem(f"{picture.stem}-{k}")
+            draw_floor_plan(grey, found).save(to, force=force)
+        scale, image = found.scale[0] or resolution or 0.0, target.with_suffix(".png")
+        if as_json:
+            about = {"path": name, "resolution": scale, "map": display(target)}
+            emit(to_json(about | {"image": display(image)} | found.as_row()))
+        else:
+            emit(plan_text(name, scale, found, display(target)))
+        if picture is not None:
+            say(f"wrote {display(to)}")
+
+
+def _drawn(
+    path: Path, resolution: float | None, distance: Any, origin: "Pose2D | None",
+    drawing: Drawing, doors: str, walls: str | None, furniture: bool,
+) -> "list[FloorPlan]":  # fmt: skip
+    """The maps of the floors of a drawing."""
+    from imgloc.plans.drawn import drawing_to_maps
+    from imgloc.plans.files import measured_resolution
+    from imgloc.plans.vectors import read_drawing
+
+    if resolution is not None and distance is not None:
+        raise ConfigError(f"{display(path)}: the scale is given twice")
+    scale = resolution if distance is None else measured_resolution(distance)
+    return drawing_to_maps(
+        read_drawing(path), resolution=scale, origin=origin, cell=drawing.cell,
+        thickest=drawing.thickest, gap=drawing.gap, doors=doors,
+        walls=[] if walls is None else walls.split(","), furniture=furniture,
+    )  # fmt: skip
+
+
+def _pixels(
+    path: Path, resolution: float | None, distance: Any, origin: "Pose2D | None",
+    drawing: Drawing, budget: int, advance: Callable[[], None], inverted: bool | None,
+) -> "tuple[npt.NDArray[np.uint8], float, FloorPlan]":  # fmt: skip
+    """The image of a plan, its scale and its map."""
+    from imgloc.cli import inputs
+    from imgloc.io.images import image_size
+    from imgloc.plans.files import load_plan
+    from imgloc.plans.floorplan import plan_bytes, plan_to_map
+
+    size = image_size(path)
+    scale = _scale(display(path), resolution, distance, size)
+    what = f"{display(path)}: a plan of {size.width} x {size.height} pixels"
     need = plan_bytes(size.height, size.width, scale, drawing.cell)
     inputs.desk_of(1, budget).check(need, what, "crop the plan, use a larger --cell")
     with inputs.quiet_libraries():
         grey = load_plan(path)
-    try:
-        with progress("plan", STEPS, lines=False) as advance:
-            found = plan_to_map(
-                grey, scale, origin=origin, **vars(drawing), advance=advance,
-                inverted=True if beside is not None and beside.negate else None,
-            )  # fmt: skip
-    except MapError as error:
-        raise MapError(f"{name}: {error}") from None
-    save_map(out, found.grid, force=force)
-    if found.doubt:
-        LOG.warning("%s: %s", name, as_options(found.doubt))
-    if picture is not None:
-        draw_floor_plan(grey, found).save(picture, force=force)
-    if as_json:
-        about = {"path": name, "resolution": scale, "map": display(out), "image": display(png)}
-        emit(to_json(about | found.as_row()))
-    else:
-        emit(plan_text(name, scale, found, display(out)))
-    if picture is not None:
-        say(f"wrote {display(picture)}")
+    found = plan_to_map(
+        grey, scale, origin=origin, **vars(drawing), advance=advance, inverted=inverted
+    )
+    return grey, scale, found
 
 
 def _scale(
@@ -178,12 +250,15 @@ def plan_text(name: str, resolution: float, plan: "FloorPlan", out: str) -> str:
     doors = "no swings found"
     if plan.doors:
         doors = f"{len(plan.doors)} swings, leaves of {plan.doors[0]:.2f} to {plan.doors[-1]:.2f} m"
+    of = f"unit: {plan.scale[1]}" if plan.scale[1] else "pixel"
+    rooms = "" if plan.rooms is None else f", {plan.rooms} rooms"
     height, width = plan.grid.info.shape
     corner = plan.grid.origin
     lines = [
         name,
-        f"  plan        {resolution:.4g} m a pixel" + (", light on dark" if plan.inverted else ""),
-        f"  building    {plan.size[0]:.2f} x {plan.size[1]:.2f} m, {plan.free_area:.1f} m2 free",
+        f"  plan        {resolution:.4g} m a {of}" + (", light on dark" if plan.inverted else ""),
+        f"  building    {plan.size[0]:.2f} x {plan.size[1]:.2f} m, {plan.free_area:.1f} m2 "
+        f"free{rooms}",
         f"  walls       {plan.walls} pieces, {plan.length:.0f} m; {low:.2f} to {high:.2f} m thick, "
         f"median {median:.2f} m; lines up to {plan.thickest:g} m apart are one wall",
         f"  doors       {doors}; in outer walls openings up to {plan.gap:g} m count as closed",

@@ -49,15 +49,17 @@ def load_plan(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> npt.NDArray[np
     return np.ascontiguousarray(cv2.convertScaleAbs(grey)[::-1].astype(np.uint8))
 
 
-def measured_resolution(distance: Sequence[float], width: int, height: int) -> float:
+def measured_resolution(
+    distance: Sequence[float], width: float = math.inf, height: float = math.inf
+) -> float:
     """Metres a pixel of an image, of two points on it and their distance.
 
     Parameters
     ----------
     distance : (x1, y1, x2, y2, metres)
         Pixels from the upper left corner, y down, as programs that show images count them.
-    width, height : int
-        Size of the image, pixels.
+    width, height : float
+        Size of the image, pixels; infinite for a drawing, whose points may be anywhere.
 
     Raises
     ------
@@ -71,11 +73,11 @@ def measured_resolution(distance: Sequence[float], width: int, height: int) -> f
     """
     x1, y1, x2, y2, metres = distance
     for x, y in ((x1, y1), (x2, y2)):
-        if not (0 <= x <= width and 0 <= y <= height):
+        if math.isfinite(width) and not (0 <= x <= width and 0 <= y <= height):
             size = f"{width} x {height} pixels, counted from the upper left corner"
             raise ConfigError(f"`distance`: {x:g},{y:g} is not on the image, which has {size}")
     pixels = math.hypot(x2 - x1, y2 - y1)
-    if pixels < 1 or metres <= 0:
+    if pixels < (1 if math.isfinite(width) else 1e-9) or metres <= 0:
         got = f"got {pixels:g} pixels and {metres:g} m"
         raise ConfigError(f"`distance`: {got}, expected two points and metres between them")
     return metres / pixels

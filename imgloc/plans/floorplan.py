@@ -142,6 +142,10 @@ class FloorPlan:
     framed_area: float
     #: what walls enclose elsewhere on the drawing, the largest such space, square metres
     other_area: float
+    rooms: int | None = None  #: with closed doors, if the drawing tells which are doors
+    scale: tuple[float, str] = (0.0, "")  #: metres a unit of the drawing, and how that was found
+    guessed: bool = False  #: no name of a layer told which lines of the drawing are walls
+    lost_doors: int = 0  #: doors of the drawing that are in none of its maps
 
     @property
     def free_area(self) -> float:
@@ -213,7 +217,7 @@ class FloorPlan:
                 f"closed: no part without a wall across it has more than {self.largest_share:.0%} "
                 "of the free area"
             )
-        elif self.roomless_share > _DOUBT[3]:
+        elif not self.scale[1] and self.roomless_share > _DOUBT[3]:
             what = (
                 "a part of the building was most likely cut off: "
                 f"{self.roomless_share:.0%} of the walls have no room beside them"
@@ -223,6 +227,16 @@ class FloorPlan:
                 f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
                 f"gaps less than {_NARROW:g} m wide, or into spaces less than {_HOLLOW:g} m wide "
                 "without a door, as the two lines of a wall do, its hatching, or furniture"
+            )
+        elif self.lost_doors:
+            what = (
+                "a part of the building was most likely cut off: leaves of doors outside of what "
+                f"was found: {self.lost_doors}"
+            )
+        elif self.guessed:
+            what = (
+                "no name of a layer tells what is a wall, so furniture may be part of walls; "
+                "`walls` names the layers"
             )
         else:
             return ""
@@ -242,6 +256,8 @@ class FloorPlan:
                 "thickness": {"low": low, "median": median, "high": high},
             },
             "doors": self.doors,
+            "rooms": self.rooms,
+            "scale": self.scale[1] or None,
             "removed": [asdict(removed) for removed in self.removed],
             "free_area": self.free_area,
             "free_share": self.free_share,
@@ -1033,8 +1049,9 @@ def _enclosed(taken: BoolArray, radius: float) -> BoolArray:
 
 
 def _as_grid(
-    walls: BoolArray, middle: BoolArray, inside: BoolArray, cell: float, origin: Pose2D
-) -> OccupancyGrid:
+    walls: BoolArray, middle: BoolArray, inside: BoolArray, cell: float, origin: Pose2D,
+    hidden: BoolArray | None = None,
+) -> OccupancyGrid:  # fmt: skip
     """The map, cropped to the building, half a metre around it."""
     parts = len(walls) // len(inside)
     share = _coarser(walls, parts)
@@ -1042,6 +1059,8 @@ def _as_grid(
     occupied = (share >= 0.5) | (_coarser(middle, parts) * parts > 0.75)
     near = cv2.dilate(inside.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
     free = (inside | ((share > 0) & (near > 0))) & ~occupied
+    if hidden is not None:  # neither of both
+        free &= _coarser(hidden, parts) == 0
     x, y, wide, high = cv2.boundingRect((free | occupied).astype(np.uint8))
     pad = round(0.5 / cell)
     left, low = x - pad, y - pad

@@ -194,7 +194,7 @@ class Frames:
         return np.array(link.stamps), np.array(link.poses)
 
     def static(self, child: str, parent: str) -> bool:
-        """Whether a link never changes."""
+        """Return whether a link never changes."""
         return self._links[child, parent].static
 
 

@@ -69,7 +69,7 @@ class Lasers:
 
     @property
     def doubted(self) -> bool:
-        """Whether the last scan of any laser is doubted."""
+        """True if the last scan of any laser is doubted."""
         return any(laser.doubted for laser in self)
 
     def move(self, way: FloatArray) -> None:

@@ -35,7 +35,7 @@ class Source:
         return f"tf {self.frame} -> {self.child}" if self.tf else self.name
 
     def named(self, asked: str) -> bool:
-        """Whether somebody asks for it, by its topic or one of its frames."""
+        """Return whether somebody asks for it, by its topic or one of its frames."""
         names = (self.name.strip("/"), self.frame, self.child)
         return asked.strip("/") in filter(None, names)
 

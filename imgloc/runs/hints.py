@@ -94,7 +94,7 @@ def evidence_of(row: Row) -> Evidence:
 
 
 def _unique(said: Said) -> bool:
-    """Whether at least half of an item's scans are."""
+    """Return whether at least half of an item's scans are."""
     return 2 * sum(verdict == "unique" for verdict, _ in said) >= len(said)
 
 

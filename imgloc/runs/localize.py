@@ -146,7 +146,7 @@ class Locating:
 
     @property
     def _tries(self) -> bool:
-        """Whether a doubtful scan may be located in other ways, too."""
+        """True if a doubtful scan may be located in other ways, too."""
         return self.options.method == FUSED and self.options.time_budget is None
 
     @property

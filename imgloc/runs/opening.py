@@ -114,6 +114,7 @@ class Taken:
     indices: list[int]  #: in the file
     total: int  #: scans that it has
     tried: ScanSet  #: a few of the whole file, which tell whether its poses are true
+    recorded: ScanSet  #: the selected ones as the file has them, without scale, mount and reach
 
     def __iter__(self) -> Iterator[tuple[int, LaserScan, Pose2D | None]]:
         """Index, scan, and pose of the sensor in the map frame if that is known, of each."""
@@ -123,7 +124,8 @@ class Taken:
     def some(self, which: Sequence[int]) -> "Taken":
         """The same with some of the scans that are looked at."""
         indices = [self.indices[k] for k in which]
-        return replace(self, scans=self.scans.take(which), indices=indices)
+        recorded = self.recorded.take(which)
+        return replace(self, scans=self.scans.take(which), indices=indices, recorded=recorded)
 
 
 @dataclass
@@ -303,7 +305,7 @@ class Desk:
                     "odometry with stamps at most a second before",
                     name, left, len(some),
                 )  # fmt: skip
-        return Taken(name, some, indices, len(recorded), tried)
+        return Taken(name, some, indices, len(recorded), tried, recorded.take(indices))
 
 
 #: Draws a picture of what an answer has for it: PNGs by what they show.

@@ -135,7 +135,7 @@ def drawn_gain(
 
 
 def drawn_thick(features: MapFeatures) -> bool:
-    """Whether the walls of an uncorrected map are so thick that no scans have shown them."""
+    """Return whether the walls of an uncorrected map are so thick that no scans have shown them."""
     thickness, cell = features.thickness, features.grid.resolution
     return features.peels and thickness >= _THICK and thickness > 2 * cell
 

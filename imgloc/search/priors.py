@@ -141,7 +141,7 @@ def prior_of(known: Known, grid: OccupancyGrid) -> Prior:
 
 
 def leaves_none(prior: Prior, features: MapFeatures) -> bool:
-    """Whether the prior has no cell of the map in which a sensor can be."""
+    """Return whether the prior has no cell of the map in which a sensor can be."""
     return prior.cells is not None and not bool((prior.cells & features.standable).any())
 
 

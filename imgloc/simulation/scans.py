@@ -314,7 +314,7 @@ def fine_image(path: Path, grid: OccupancyGrid) -> OccupancyGrid | None:
 
 
 def is_world(path: Path, grid: OccupancyGrid) -> bool:
-    """Whether a map is a bundled one, as it is: more than its cells is known.
+    """Return whether a map is a bundled one, as it is: more than its cells is known.
 
     A copy elsewhere is any map; read at another resolution or origin it is not the world any more.
     """

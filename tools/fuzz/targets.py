@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet  # noqa: F401  (its memory is not that of the first export)
 import skimage.measure  # noqa: F401  (nor its time)
+from ezdxf.filemanagement import new
 from PIL import Image
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -42,6 +43,8 @@ from imgloc.options import FILTERS
 from imgloc.output.export import as_bytes
 from imgloc.output.report import render_report
 from imgloc.output.ros import filled
+from imgloc.plans.drawn import drawing_to_maps
+from imgloc.plans.vectors import read_drawing
 from imgloc.runs.batch import BatchSummary, find_items, work
 from imgloc.runs.jobs import make_job
 from imgloc.runs.results import RESULTS, RUN, SUMMARY, Results
@@ -164,6 +167,42 @@ def image(data: bytes, folder: Path) -> None:
 
 
 _FITTED = {"cbml": imgloc.Calibration(0.1, 0.1, 0.5)}
+
+
+def _drawings(_: Path) -> list[bytes]:
+    """A room with a door: as a DXF with a block, an SVG with a copy, and a PDF."""
+    document = new(units=6)
+    block = document.blocks.new("door")
+    block.add_arc((0, 0), 0.9, 0, 90)
+    block.add_line((0, 0), (0.9, 0))
+    model = document.modelspace()
+    model.add_lwpolyline([(0, 0), (5, 0), (5, 4), (0, 4)], close=True, dxfattribs={"layer": "wall"})
+    model.add_blockref("door", (1, 0), dxfattribs={"rotation": 90})
+    text = io.StringIO()
+    document.write(text)
+    svg = (
+        '<svg width="60mm" height="50mm" viewBox="0 0 60 50"><g id="wall" fill="none" stroke="red">'
+        '<rect id="a" x="5" y="5" width="50" height="40"/><use href="#a" transform="scale(1.02)"/>'
+        '<path d="M10 45 A 9 9 0 0 1 19 36 L 10 36 Z"/></g><text>1:100</text></svg>'
+    )
+    lines = (
+        b"6 w 50 50 m 200 50 l 200 150 l 50 150 l h S 1 w 90 50 m 90 65 78 75 65 75 c 65 50 l S "
+    )
+    lines += b"BT /F1 9 Tf 9 9 Td (1:100) Tj ET"
+    pdf = (
+        b"%%PDF-1.4\n1 0 obj<</Pages 2 0 R>>endobj 2 0 obj<</Kids[3 0 R]/Count 1>>endobj 3 0 obj"
+        b"<</Type/Page/Parent 2 0 R/MediaBox[0 0 300 200]/Contents 4 0 R/Resources<</Font<</F1"
+        b"<</Type/Font/Subtype/Type1/BaseFont/Helvetica>>>>>>>>endobj 4 0 obj<</Length "
+        b"%d>>stream\n%s\nendstream endobj trailer<</Root 1 0 R>>" % (len(lines), lines)
+    )
+    return [text.getvalue().encode(), svg.encode(), pdf]
+
+
+@target(_drawings)
+def drawing(data: bytes, folder: Path) -> None:
+    """A drawing of an architect."""
+    ending = ".svg" if data[:1] == b"<" else ".pdf" if data[:2] == b"%P" else ".dxf"
+    drawing_to_maps(read_drawing(_written(data, folder / f"input{ending}")))
 
 
 @target(_made("a", lambda path: save_calibrations(path, ROOM, _FITTED, {"cbml": {"seed": 1}})))

@@ -4,10 +4,12 @@
     python -m tools.plans -n 5 --seeds 1 --styles filled,outlined
     python -m tools.plans --sheets -n 60             # whole sheets, as other programs make them
     python -m tools.plans --sheets aside,hatched     # of these words
-    python -m tools.plans --draw DIR                 # only draw the plans or the sheets, as PNG
+    python -m tools.plans --drawings DIR -n 60       # DXF, SVG and PDF of a folder, without options
+    python -m tools.plans --draw DIR                 # only draw the plans or the sheets
 
 Prints a Markdown table. Right is within 0.5 m and 10 degrees. Buildings are random by their seeds:
 walls, doors, windows, stairs; the scans also see furniture that is on no plan, and open doors.
+The twin of a drawing has walls off by 3 cm, doors at random, furniture, boxes and people.
 """
 
 import argparse
@@ -21,7 +23,9 @@ import cv2
 from imgloc.errors import ConfigError
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
+from imgloc.plans.vectors import READERS
 from tools.plans.drawing import STYLES, building, draw_plan
+from tools.plans.drawings import DRAWINGS_HEAD, measure_drawings, write_dxf
 from tools.plans.measure import DRAWN, MAPS, SHEETS_HEAD, measure, measure_sheets, table
 from tools.plans.sheets import ASIDE, FRESH, HARD, LATER, SHEETS
 from tools.script import ended, parser_of, progress, table_lines
@@ -38,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--sheets", nargs="?", const="", metavar="WORDS",
         help="measure whole sheets whose names have one of these words (default: all of them)",
     )  # fmt: skip
+    parser.add_argument("--drawings", type=Path, metavar="DIR", help="measure those in a folder")
     parser.add_argument("--draw", type=Path, metavar="DIR", help="draw the plans there instead")
     parser.add_argument("--force", action="store_true", help="overwrite plans that are there")
     given = parser.parse_args(arguments)
@@ -53,11 +58,19 @@ def run(given: argparse.Namespace) -> int:
     seeds = [int(word) for word in given.seeds.split(",") if word.strip().isdecimal()]
     if not seeds or given.n < 1:
         raise ConfigError("--seeds and -n: expected numbers, and at least one scan")
+    if given.drawings is not None:
+        paths = sorted(p for p in given.drawings.iterdir() if p.suffix.lower() in READERS)
+        with progress("drawings", 2 * len(paths) * given.n) as advance:
+            for line in table_lines(DRAWINGS_HEAD, measure_drawings(paths, given.n, advance)):
+                print(line, flush=True)
+        return 0
     if given.sheets is not None:
         return _sheets(given)
     drawn = [how for how in DRAWN if how.style in given.styles.split(",")]
     if given.draw is not None:
         for seed in seeds:
+            write_dxf(building(seed), path := given.draw / f"building-{seed}.dxf")
+            print(path)
             for how in drawn:
                 image = draw_plan(
                     building(seed, how.turn), how.resolution, how.style, noise=how.noise

@@ -280,7 +280,7 @@ def _piece(wall: Wall, start: float = 0.0, end: float | None = None) -> FloatArr
     return np.array([p - across, q - across, q + across, p + across])
 
 
-def _leaves(b: Building, o: Opening) -> list[tuple[FloatArray, FloatArray, float]]:
+def leaves(b: Building, o: Opening) -> list[tuple[FloatArray, FloatArray, float]]:
     """Hinge, direction of the closed leaf (its length is the leaf's), and the sign of its turn."""
     a, end, thick = b.walls[o.wall]
     along = (end - a) / np.hypot(*(end - a))
@@ -323,7 +323,7 @@ def true_world(b: Building, cell: float = FINE) -> OccupancyGrid:
     for thing in b.things:
         b.fill(occupied, thing, cell)
     for o in b.openings:
-        for hinge, leaf, sign in _leaves(b, o):
+        for hinge, leaf, sign in leaves(b, o):
             b.fill(occupied, _piece((hinge, hinge + leaf @ rotation(sign * o.angle).T, 0.04)), cell)
     return OccupancyGrid(occupied > 0, inside(b, cell) & (occupied == 0), cell, Pose2D(0, 0))
 
@@ -383,7 +383,7 @@ def draw_plan(
                     stroke(ends)
     if clutter:
         for o in b.openings:
-            for hinge, leaf, sign in _leaves(b, o):
+            for hinge, leaf, sign in leaves(b, o):
                 turns = np.linspace(0, sign * np.pi / 2, 24)
                 arc = np.array([hinge + leaf @ rotation(t).T for t in turns])
                 stroke(arc)

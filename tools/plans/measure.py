@@ -77,7 +77,7 @@ def measure(
             scans = scans_of(b, n, seed)
             image = draw_plan(b, how.resolution, how.style, noise=how.noise)
             for where, row in rows.items():
-                _judge(map_of(b, image, how.resolution, where), scans, row, advance)
+                judge(map_of(b, image, how.resolution, where), scans, row, advance)
         yield from rows.values()
 
 
@@ -94,13 +94,13 @@ def measure_sheets(
             grey = load_plan(path)
         scans = scans_of(b, n, 1, AROUND)
         rows = [Row(name, "walls"), Row(name, "map plan")]
-        _judge(map_of(b, sheet.image, sheet.resolution, "walls"), scans, rows[0], advance)
+        judge(map_of(b, sheet.image, sheet.resolution, "walls"), scans, rows[0], advance)
         try:
             found = plan_to_map(grey, sheet.resolution, origin=sheet.origin)
         except MapError as error:
             yield name, "", "", "", "", f"{rows[0].right}", f"refused: {error}"[:60]
             continue
-        _judge(found.grid, scans, rows[1], advance)
+        judge(found.grid, scans, rows[1], advance)
         free, walls = (f"{share:.0%}" for share in shares_found(found.grid, b))
         right = f"{rows[1].right} of {n}"
         yield name, free, walls, right, rows[1].wrong, rows[0].right, "yes" if found.doubt else ""
@@ -161,7 +161,8 @@ def _unknown(found: FloorPlan) -> OccupancyGrid:
     return replace(grid, free=grid.free & ~here)
 
 
-def _judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], None]) -> None:
+def judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], None]) -> None:
+    """Locate scans on a map, and count in its row what became of them."""
     features = prepare(grid)
     for scan, truth in scans.with_poses():
         answer = localize(features, scan, Options(top=1))

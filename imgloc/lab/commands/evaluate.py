@@ -153,7 +153,7 @@ def _map_of(path: Path) -> Path:
 
 
 def _works(row: dict[str, Any]) -> bool:
-    """Whether a method finds most of the poses."""
+    """Return whether a method finds most of the poses."""
     return bool(row["success"][-1]["at_1"]["value"] >= 0.5)
 
 

@@ -24,7 +24,7 @@ class Recorded(Mounting, Chosen, Logs):
 
     @property
     def as_they_are(self) -> bool:
-        """Whether nothing is stated but which scans are looked at."""
+        """True if nothing is stated but which scans are looked at."""
         return (self._of(Logs), self._of(Mounting)) == (Logs(), Mounting())
 
     def _of(self, kind: type[Part]) -> Part:

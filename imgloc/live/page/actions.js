@@ -4,7 +4,8 @@ import * as api from "./api.js";
 import { compose, holds } from "./geometry.js";
 import { priorOf, RADIUS, TURN } from "./known.js";
 import { prepared } from "./scan.js";
-import { change, state } from "./state.js";
+import { change, HAND, NOWHERE, numberOf, state, TRACKER, USUAL } from "./state.js";
+import { inWords } from "./words.js";
 
 /** Layers that are a likelihood of a scan, with a slider through their headings. */
 export const METHODS = ["cbml", "cbml-o", "ght", "ght-v", "beam"];
@@ -77,10 +78,10 @@ export function take(patch) {
 export function chooseMap(map) {
   granted = NOTHING;
   change({
-    map, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
+    map, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], fit: null, pose: null, chosen: HAND, reading: -1, seen: null,
     picture: null, marks: [], unsaved: false, known: { near: null, region: null, clearance: state.known.clearance },
   });
-  if (map.warnings?.length) trouble("the map", map.warnings.map((text) => `${map.name}: ${text}`).join(" "));
+  if (map.warnings?.length) trouble("the map", map.warnings.map((text) => `${map.name}: ${inWords(text, true)}`).join(" "));
   showLayer();
   if (state.set) selectScan(state.index);
 }
@@ -92,14 +93,20 @@ function nameOf(file, image, folder) {
   return plain.find((name) => name && name !== "map") ?? "map";
 }
 
+/** What an image does not say, as `imgloc open` says how a file was read: an option, and Python's argument. */
+const optionsOf = (reading) => Object.entries(reading).map(([key, value]) => [
+  `--${key.replaceAll("_", "-")}${value === true ? "" : `=${value}`}`,
+  `${key}=${value === true ? "True" : key === "origin" ? `(${value})` : value}`,
+]);
+
 /** Give the service a map, and look at it. */
 export async function addMap(image, yaml, reading, folder = "") {
   const file = (yaml ?? image).name, name = nameOf(yaml ?? image, image, folder);
   const map = await attempt(`Reading ${image.name}`, () => api.uploadMap(image, yaml, { name, ...reading }));
   if (!map) return false;
-  const known = { ...map, file, reading: yaml ? null : reading };
+  const known = { ...map, file, options: optionsOf(reading) };
   change({ maps: [...state.maps, known] });
-  const mine = [...kept(), { id: map.id, file, reading: known.reading }];
+  const mine = [...kept(), { id: map.id, file, options: known.options }];
   try {
     sessionStorage.setItem(MINE, JSON.stringify(mine));
   } catch { /* the browser keeps nothing: after a reload the map is gone */ }
@@ -124,31 +131,44 @@ export async function ownMaps() {
   return found.filter(Boolean);
 }
 
-/** Give the service a file of scans, and look at the first. */
+/** Give the service a file of scans, and look at the first; of a log with several lasers, one must be named. */
 export async function addScans(file, said = {}) {
-  const set = await attempt(`Reading ${file.name}`, () => api.uploadScans(file, said));
-  if (set) openSet({ ...set, name: file.name }, { file, said });
-  if (set?.warnings.length) trouble("the scans", set.warnings.join(" "));
-  return Boolean(set);
+  const lasers = state.lasers?.file === file ? state.lasers.names : [];
+  const set = await attempt(`Reading ${file.name}`, async () => {
+    try {
+      return await api.uploadScans(file, said);
+    } catch (error) {
+      const named = [...(error.detail ?? "").matchAll(/(\S+) \(\d+\)/g)].map(([, name]) => name);
+      if (error.detail?.includes("`topic`")) change({ lasers: { file, names: named, topic: "" } });
+      throw error;
+    }
+  });
+  if (!set) return;
+  const { topic } = said;
+  change({ lasers: topic ? { file, names: lasers, topic } : null });
+  openSet({ ...set, name: file.name, options: topic ? [[`--topic=${topic}`, `topic=${JSON.stringify(topic)}`]] : [] }, { file, said });
+  if (set.warnings.length) trouble("the scans", set.warnings.map((text) => inWords(text, true)).join(" "));
 }
 
-/** Look at the first of some scans that the service holds. */
+/** Look at the first of some scans that the service holds; how they were taken is theirs alone. */
 export function openSet(set, from = null) {
   items = new Map();
   files = from;
-  change({ set, scan: null, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
+  const said = Object.entries(set.taken).filter(([, value]) => value !== null).map(([key, value]) => [key, value === true || String(value)]);
+  change({ set, taken: { ...USUAL, ...Object.fromEntries(said) }, scan: null, pose: null, answer: null, refused: false, hints: [], verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: HAND });
   selectScan(0);
 }
 
 /** A scan of the file, as scan.js prepares it. */
 export async function item(index) {
-  if (!items.has(index)) {
+  const here = items; // others, if somebody says meanwhile that they were taken in another way
+  if (!here.has(index)) {
     const start = index - (index % CHUNK), { id } = state.set;
     const some = await aboutScans((now) => api.items(now, { start, count: CHUNK, ...takenOf(state.taken) }));
     if (id !== state.set.id && !files) return null;
-    for (const one of some) items.set(one.index, prepared(one));
+    for (const one of some) here.set(one.index, prepared(one));
   }
-  return items.get(index);
+  return here.get(index);
 }
 
 /** Look at a scan, and find where it is. */
@@ -172,7 +192,7 @@ const BAD = [400, 422]; // it will refuse the same again
 function withdraw(known, status) {
   const { index, chosen } = state, verdicts = [...state.verdicts];
   verdicts[index] = null;
-  const drawn = chosen >= 0 ? { pose: null, fit: null, chosen: -1 } : {}; // of the answer
+  const drawn = chosen >= 0 ? { pose: null, fit: null, chosen: HAND } : {}; // of the answer
   change({ answer: null, verdicts, reading: -1, refused: true, ...drawn });
   if (BAD.includes(status) && known === state.known) change({ known: granted });
 }
@@ -202,15 +222,15 @@ export const locate = api.newest(async () => {
   change({ answer, verdicts, reading: -1, refused: false, hints: [] });
   if (answer.verdict !== "unique") doubt();
   if (answer.hypotheses.length) chooseHypothesis(0);
-  else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }));
-  else askScore();
+  else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }), NOWHERE);
+  else place(state.pose, state.chosen >= 0 ? NOWHERE : state.chosen);
 });
 
-/** Ask what keeps the scan from fitting, in the words of the command. */
+/** Ask what keeps the scan from fitting. */
 const doubt = api.newest(async () => {
   const { map, scan, known } = state;
   const hints = await attempt("", () => aboutScans((id) => api.doubts({ ...asked(id), ...priorOf(state.known) })));
-  if (hints && scan === state.scan && map === state.map && known === state.known) change({ hints });
+  if (hints && scan === state.scan && map === state.map && known === state.known) change({ hints: hints.map((text) => inWords(text)) });
 });
 
 /** Draw the scan at a hypothesis. */
@@ -220,7 +240,7 @@ export function chooseHypothesis(k) {
 }
 
 /** Draw the scan at a pose, of the hypothesis `chosen` or set by hand, and ask what it says there. */
-export function place(pose, chosen = -1) {
+export function place(pose, chosen = HAND) {
   change({ pose, chosen });
   askScore();
 }
@@ -249,7 +269,7 @@ export async function settle() {
   const fit = await attempt("Settling", () => aboutScans((id) => api.settle({ ...asked(id), ...fitAt(pose) })));
   if (!fit || scan !== state.scan || pose !== state.pose) return;
   settled += 1;
-  change({ pose: fit.pose, chosen: -1, fit: { ...fit, of: scan } });
+  change({ pose: fit.pose, chosen: HAND, fit: { ...fit, of: scan } });
 }
 
 /** Say what is known, and ask again. */
@@ -271,7 +291,7 @@ export function mark() {
   const { pose, index } = state, marks = [...state.marks], old = marks[index];
   if (!pose) return;
   marks[index] = old && old.x === pose.x && old.y === pose.y && old.theta === pose.theta ? null : { ...pose };
-  change({ marks, unsaved: marks.some(Boolean), note: marks[index] ? `Scan ${index} is marked.` : `Scan ${index} is not marked any more.` });
+  change({ marks, unsaved: marks.some(Boolean), note: `Scan ${numberOf()} is ${marks[index] ? "marked" : "not marked any more"}.` });
 }
 
 /** The marked scans with their true poses, as a file. */
@@ -403,7 +423,7 @@ export async function follow() {
 function showBelief(index, scan, belief) {
   const beliefs = [...state.beliefs], pose = poseOf(belief, scan) ?? state.pose;
   beliefs[index] = belief;
-  change({ index, scan, beliefs, pose, answer: null, hints: [], chosen: -2, reading: -1 });
+  change({ index, scan, beliefs, pose, answer: null, hints: [], chosen: TRACKER, reading: -1 });
   askScore();
 }
 

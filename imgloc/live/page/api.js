@@ -1,16 +1,18 @@
 // What the page asks its service. Nothing else is ever asked: all addresses are relative to it.
 
+import { inWords } from "./words.js";
+
 const token = new URLSearchParams(location.hash.slice(1)).get("token");
 
 const WHOLE = "Open the whole address that the service's owner has: it ends in #token=...";
 const MISSING = `The service needs its token, and the address of this page has none. ${WHOLE}`;
 const WRONG = `The service does not accept the token in the address of this page. ${WHOLE}`;
 
-/** An answer of the service that is no success, in its own sentence. */
+/** An answer of the service that is no success, in its own sentence; `reading` a file, if it was that. */
 export class Problem extends Error {
-  constructor(status, { title = "", detail = "" } = {}) {
-    super(detail || title || `The service answered ${status}.`);
-    this.status = status;
+  constructor(status, { title = "", detail = "" } = {}, reading = false) {
+    super(inWords(detail || title || `The service answered ${status}.`, reading));
+    Object.assign(this, { status, detail });
   }
 
   /** Whether the same may be answered a little later: the service is busy, or was not there. */
@@ -46,7 +48,7 @@ async function ask(path, values = {}, options = {}) {
     throw new Problem(0, { detail: "The service does not answer. Does imgloc serve still run?" });
   }
   if (response.status === 401) throw new Problem(401, { detail: token ? WRONG : MISSING });
-  if (!response.ok) throw new Problem(response.status, await response.json().catch(() => ({})));
+  if (!response.ok) throw new Problem(response.status, await response.json().catch(() => ({})), /^v1\/(maps|scans)$/.test(path));
   return response;
 }
 
@@ -96,7 +98,7 @@ export const items = async (id, values) => (await json(get(`v1/scans/${segment(i
 /** Where a scan is: the row of `imgloc localize --json`. */
 export const localize = (values) => json(post("v1/localize", values));
 
-/** What most likely keeps a scan from fitting: the sentences of the command. */
+/** What most likely keeps a scan from fitting, in sentences. */
 export const doubts = async (values) => (await json(post("v1/doubts", values))).hints;
 
 /** What each reading says at a pose; `settle` moves the pose to where it fits best nearby. */

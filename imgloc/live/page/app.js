@@ -3,7 +3,7 @@
 import * as actions from "./actions.js";
 import * as api from "./api.js";
 import { onScheme } from "./colours.js";
-import { command, script } from "./copy.js";
+import { command, REGION, script } from "./copy.js";
 import { $, download, make, say } from "./dom.js";
 import { acceptFiles } from "./files.js";
 import { boxOf, corners, radians } from "./geometry.js";
@@ -13,7 +13,7 @@ import { Cells, heat } from "./map.js";
 import { paint, paintStrip } from "./paint.js";
 import { showTip, startPanel } from "./panel.js";
 import { listen } from "./pointer.js";
-import { change, state, watch } from "./state.js";
+import { change, numberOf, state, watch } from "./state.js";
 import { takeTool } from "./tools.js";
 import { View } from "./view.js";
 
@@ -98,7 +98,9 @@ function showLog() {
   range.max = set.scans - 1;
   range.value = index;
   say($("file"), set.name);
-  say($("number"), `scan ${index} of 0 to ${set.scans - 1}`);
+  const words = `Scan ${numberOf()}`, last = set.scans - 1;
+  say($("number"), last ? `${words}. The first is ${numberOf(0)}, the last ${numberOf(last)}.` : `${words}, the only one.`);
+  range.setAttribute("aria-valuetext", words);
   const button = $("follow");
   button.disabled = !set.odom;
   button.title = set.odom ? "Follow the robot through the log (T)" : "The file has no odometry, which the tracker needs";
@@ -110,16 +112,32 @@ function showTool() {
   canvas.dataset.cursor = state.tool === "move" ? "" : "draw";
 }
 
-async function copy(text, what) {
+let copying = null; // what makes the text that was copied: command or script
+
+/** Copy what is seen; a file that the text needs, and only the page can make, is named. */
+async function copy(make) {
+  const text = make(state), what = make === command ? "command" : "Python";
+  const needs = make === command && state.set && state.known.region ? `It reads ${REGION}: press “Save region”, and run it where that file is.` : "";
   try {
     await navigator.clipboard.writeText(text);
-    change({ note: `Copied as ${what}.` });
+    change({ note: `Copied as ${what}. ${needs}` });
   } catch { // the page is no secure context, or that is not allowed: it can be copied by hand
-    change({ note: "" });
+    change({ note: needs });
   }
+  copying = make;
+  say($("copied-needs"), needs);
   $("copied").value = text;
   $("copied").rows = Math.min(16, text.split("\n").length);
   $("copied").hidden = false;
+  closeCopied();
+}
+
+/** Do not show any more what was copied, once something else is seen. */
+function closeCopied() {
+  if ($("copied").hidden || $("copied").value === copying(state)) return;
+  $("copied").value = "";
+  $("copied").hidden = true;
+  say($("copied-needs"), "");
 }
 
 const on = (id, type, listener) => $(id).addEventListener(type, listener);
@@ -167,13 +185,32 @@ function listenToControls() {
     download(file, `${state.set.name.replace(/^.*[/\\]|\.[^.]*$/g, "")}-marked.npz`);
     change({ unsaved: false });
   });
-  onClick("copy-command", () => state.map && copy(command(state), "command"));
-  onClick("copy-python", () => state.map && copy(script(state), "Python"));
+  onClick("copy-command", () => state.map && copy(command));
+  onClick("copy-python", () => state.map && copy(script));
+}
+
+const TAKEN = [["reach", "range_max"], ["unit", "range_scale"], ["sensor", "sensor"]]; // texts
+
+function showTaken() {
+  $("flipped").checked = state.taken.flipped;
+  for (const [id, key] of TAKEN) $(id).value = state.taken[key];
+}
+
+function showReading() {
+  const { lasers, set } = state;
+  $("laser").hidden = !lasers;
+  $("topic").value = lasers?.topic ?? "";
+  $("lasers").replaceChildren(...(lasers?.names ?? []).map((value) => make("option", { value })));
+  if (lasers && !lasers.topic) $("topic").focus();
+  const words = lasers ? "" : (set?.options ?? []).map(([typed]) => typed).join(" ");
+  say($("opened-with"), words && `Opened with ${words}`);
 }
 
 function listenToTaken() {
+  on("topic", "change", ({ target }) => actions.addScans(state.lasers.file, { topic: target.value.trim() }));
+
   on("flipped", "change", ({ target }) => actions.take({ flipped: target.checked }));
-  for (const [id, key] of [["reach", "range_max"], ["unit", "range_scale"], ["sensor", "sensor"]]) {
+  for (const [id, key] of TAKEN) {
     on(id, "change", ({ target }) => {
       const value = target.value.replaceAll(" ", "");
       if (target.reportValidity()) actions.take({ [key]: value });
@@ -199,7 +236,7 @@ function listenToKnown() {
   onClick("save-region", async () => {
     const { map, known } = state;
     const image = await actions.attempt("Drawing", () => api.regionImage(map.id, regionText(known.region)));
-    if (image) download(image, "region.png");
+    if (image) download(image, REGION);
   });
 }
 
@@ -216,7 +253,9 @@ async function start() {
   watch(["picture"], loadLayer);
   watch(["layer", "slice"], () => actions.showLayer());
   watch(["layer"], () => { $("layer").value = state.layer; });
-  watch(["taken"], () => { $("flipped").checked = state.taken.flipped; });
+  watch(["taken"], showTaken);
+  watch(["lasers", "set"], showReading);
+  watch(["map", "set", "index", "scan", "taken", "known", "method", "layer", "seen", "beliefs", "pose", "chosen"], closeCopied);
   watch(["scan"], () => { if (actions.METHODS.includes(state.layer)) actions.showLayer(); });
   watch(["set", "index", "following"], showLog);
   watch(["tool"], showTool);

@@ -3,33 +3,33 @@
 import { METHODS, surveyOf, takenOf } from "./actions.js";
 import { degrees } from "./geometry.js";
 import { isKnown } from "./known.js";
+import { HAND, numberOf } from "./state.js";
 
 /** A word of a POSIX shell, in quotes where it needs them. */
 export function quoted(word) {
-  const safe = word.startsWith("-") ? `./${word}` : word;
-  return /^[\w@%+=:,./-]+$/.test(safe) ? safe : `'${safe.replaceAll("'", "'\\''")}'`;
+  return /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`;
 }
 
 const python = (text) => JSON.stringify(text);
 const number = (value) => String(Number(value.toFixed(4)));
-const REGION = "region.png";
+export const REGION = "region.png"; // what the image of a region is called
 
-/** The files of what is seen: where they are, as far as the page can know. */
+/** The files of what is seen: where they are, as far as the page can know. None looks like an option. */
 function filesOf({ map, set }) {
-  return { map: map.path ?? map.file ?? map.name, scans: set && (set.path ?? set.name) };
+  const there = (file) => (file.startsWith("-") ? `./${file}` : file);
+  return { map: there(map.path ?? map.file ?? map.name), scans: set && there(set.name) };
 }
 
-/** How an image without a YAML is read. */
-const readingOf = ({ reading }) => reading ?? {};
+/** How a file is read, as options of a command; words of a shell. */
+const typedOf = (options) => options.map(([typed]) => quoted(typed));
 
-/** The options of how the scans were taken: by the page, and by the command that opened them. */
+/** The same as further arguments of a call in Python. */
+const passedOf = (options) => options.map(([, passed]) => `, ${passed}`).join("");
+/** The options of how the scans are read, as they were opened, and were taken, as the page says. */
 const takenOptions = ({ taken, set }) => [
-  ...(set?.options ?? []),
+  ...typedOf(set?.options ?? []),
   ...Object.entries(takenOf(taken)).map(([key, value]) => (value === true ? `--${key}` : `--${key.replace("_", "-")}=${value}`)),
 ];
-
-/** The number of the scan in its file. */
-const numberOf = ({ set, index }) => set?.indices?.[index] ?? index;
 
 /** The options of what is known. */
 function knownOptions({ near, region, clearance }) {
@@ -42,9 +42,8 @@ function knownOptions({ near, region, clearance }) {
 
 /** Commands that show what the page shows. */
 export function command(state) {
-  const { map, set, scan, method, known, layer } = state, files = filesOf(state), index = numberOf(state);
-  const taken = takenOptions(state).map((word) => (word.startsWith("-") ? word : quoted(word)));
-  const reading = Object.entries(readingOf(map)).map(([key, value]) => `--${key}=${value}`);
+  const { map, set, scan, method, known, layer } = state, files = filesOf(state), index = numberOf();
+  const taken = takenOptions(state), reading = typedOf(map.options);
   const line = (...words) => words.filter((word) => word !== "").join(" ");
   const lines = [];
   if (set) {
@@ -72,16 +71,19 @@ export function command(state) {
 
 /** Python that answers what the page shows. */
 export function script(state) {
-  const { map, set, method, known, pose, chosen, layer } = state, files = filesOf(state), index = numberOf(state);
-  const reading = Object.entries(readingOf(map))
-    .map(([key, value]) => `, ${key}=${key === "origin" ? `(${value})` : value}`).join("");
+  const { map, set, method, known, pose, chosen, layer } = state, files = filesOf(state), index = numberOf();
   const lines = ["import imgloc", ""];
   if (known.clearance > 0 && set) lines.splice(1, 0, "from imgloc.search.priors import prior_of");
   if (known.region && set) lines.splice(1, 0, "import numpy as np", "from skimage.draw import polygon2mask");
-  lines.push(`grid = imgloc.load_map(${python(files.map)}${reading})`, "features = imgloc.prepare(grid)");
+  lines.push(`grid = imgloc.load_map(${python(files.map)}${passedOf(map.options)})`, "features = imgloc.prepare(grid)");
   if (!set) return `${lines.join("\n")}\n`;
-  lines.push(`scan = imgloc.load_scans(${python(files.scans)})[${index}]`, ...takenLines(state));
+  lines.push(...scanLines(state, files.scans, index));
   const options = method === "fused" ? [] : [`method=${python(method)}`];
+  if (map.calibrated) {
+    lines.splice(1, 0, "from imgloc.io.calibration import calibration_path, load_calibrations");
+    lines.push(`calibrations, shared = load_calibrations(calibration_path(${python(files.map)}), grid)`);
+    options.push(`calibration=calibrations.get(${python(method)})`, "shared=shared");
+  }
   if (isKnown(known)) {
     const said = [];
     if (known.near) {
@@ -97,20 +99,21 @@ export function script(state) {
   }
   lines.push(`answer = imgloc.localize(features, scan, imgloc.Options(${options.join(", ")}))`, "print(answer.verdict, answer.pose)");
   if (METHODS.includes(layer)) lines.push(`stack = imgloc.likelihood(features, scan, ${python(layer)})  # (theta, y, x)`);
-  if (pose && chosen === -1) lines.push(...poseLines(pose));
+  if (pose && chosen === HAND) lines.push(...poseLines(pose));
   return `${lines.join("\n")}\n`;
 }
 
-/** The scan as it was taken. */
-function takenLines({ taken: { flipped, range_max: cut, range_scale: scale, sensor }, set }) {
-  const lines = [];
-  if (set.options?.length) lines.push(`# opened with ${set.options.join(" ")}`);
-  if (scale) lines.push(`scan = scan.scaled(${scale})`);
+/** The scan as it was taken: what `load_scans` does not do, is done after it. */
+function scanLines({ taken: { flipped, range_max: cut, range_scale: scale, sensor }, set }, file, index) {
+  const straight = ([typed]) => typed.startsWith("--straighten="), own = set.options.filter((one) => !straight(one));
+  const reach = cut && String(Number(cut) / Number(scale || 1)); // in the unit of the file
+  const given = [...(cut ? [["", `range_max=${reach}`]] : []), ...(sensor ? [["", `sensor=imgloc.Pose2D(${sensor})`]] : [])];
+  const lines = [`scans = imgloc.load_scans(${python(file)}${passedOf([...own, ...given])})`, `scan = scans[${index}]`];
+  if (scale) lines.push(`scan = scan.scaled(${scale})  # metres`);
   if (flipped) lines.push("scan = scan.flipped");
-  const fields = [];
-  if (cut) fields.push(`range_max=min(scan.range_max, ${cut})`);
-  if (sensor) fields.push(`T_base_laser=imgloc.Pose2D(${sensor})`);
-  if (fields.length) lines.push("from dataclasses import replace", `scan = replace(scan, ${fields.join(", ")})`);
+  if (cut) lines.push("from dataclasses import replace", `scan = replace(scan, range_max=min(scan.range_max, ${cut}))`);
+  const [way] = set.options.filter(straight).map(([typed]) => typed.split("=")[1]).filter((one) => one !== "no");
+  if (way) lines.push(`scan = scan.straightened(scans.velocities[${index}], backward=${way === "backward" ? "True" : "False"})`);
   return lines;
 }
 

@@ -12,6 +12,12 @@ export function compose(base, { x, y, theta = 0 }) {
   return { x: base.x + c * x - s * y, y: base.y + s * x + c * y, theta: wrap(base.theta + theta) };
 }
 
+/** The pose of the robot, whose sensor sits at `mount` on it and is at a pose. */
+export function robotOf(pose, mount) {
+  const theta = wrap(pose.theta - mount.theta), { x, y } = compose({ x: 0, y: 0, theta }, mount);
+  return { x: pose.x - x, y: pose.y - y, theta };
+}
+
 /** A pose of the map frame in the frame of `base`. */
 export function inside(base, { x, y, theta = 0 }) {
   const c = Math.cos(base.theta), s = Math.sin(base.theta), dx = x - base.x, dy = y - base.y;

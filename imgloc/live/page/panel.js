@@ -2,21 +2,22 @@
 
 import { chooseHypothesis, LOOKING, METHODS } from "./actions.js";
 import { $, make, say } from "./dom.js";
-import { degrees, fixed, percent, poseWords } from "./geometry.js";
+import { degrees, fixed, percent, poseWords, robotOf } from "./geometry.js";
 import { isKnown, knownWords } from "./known.js";
 import { KINDS, reason } from "./scan.js";
-import { change, state, watch } from "./state.js";
+import { change, HAND, NOWHERE, numberOf, state, TRACKER, watch } from "./state.js";
 
 const GLYPHS = { unique: "✓", ambiguous: "?", "no-match": "✕", invalid: "–", lost: "✕" };
 const LISTED = 20; // hypotheses
 const SHOWN = 6000; // milliseconds that a note stays
+const TITLES = { [HAND]: "Pose set by hand", [TRACKER]: "Pose by the tracker", [NOWHERE]: "No pose was found: drag the scan to one" };
 let fading = 0;
 
 /** One or two sentences about an answer. */
 function sentence({ verdict, hypotheses, elsewhere, counted, counts }) {
   const [best, second] = hypotheses;
   if (verdict === "invalid") return `Only ${counts.valid} readings are distances to something.`;
-  if (!best) return "No allowed pose fits this scan.";
+  if (!best) return isKnown(state.known) ? "No allowed pose fits this scan." : "No pose on this map fits this scan.";
   const mass = percent(best.mass), distances = ["agrees", "orientation", "visibility", "unexplained"];
   const of = counted && distances.reduce((sum, kind) => sum + (counted[kind] ?? 0), 0);
   const held = of ? `; ${percent((counted.agrees ?? 0) / of)} of the readings end on a wall there` : "";
@@ -52,19 +53,19 @@ function showVerdict() {
   if (answer) {
     say($("word"), answer.verdict);
     say($("why"), sentence(answer));
-    const pose = answer.pose ? ` ${poseWords(answer.pose)}.` : "";
+    const pose = answer.pose ? ` The sensor is at ${poseWords(answer.pose)}.` : "";
     // Once for each answer: the share of the readings comes later.
-    say($("live"), `Scan ${index}: ${answer.verdict}. ${sentence({ ...answer, counted: null })}${pose}`);
+    say($("live"), `Scan ${numberOf()}: ${answer.verdict}. ${sentence({ ...answer, counted: null })}${pose}`);
   } else if (belief) {
     say($("word"), belief.verdict);
     say($("why"), beliefWords(belief));
     // Whoever listens hears of changes, and of the end, not of each scan.
-    if (told !== belief.verdict || !state.following) say($("live"), `Scan ${index}: the tracker says ${belief.verdict}. ${beliefWords(belief)}`);
+    if (told !== belief.verdict || !state.following) say($("live"), `Scan ${numberOf()}: the tracker says ${belief.verdict}. ${beliefWords(belief)}`);
     told = belief.verdict;
   } else {
     const word = state.refused && busy !== LOOKING ? "No answer" : "Looking …";
     say($("word"), map ? (set ? word : "No scan yet") : "No map yet");
-    if (map && set && word === "No answer") say($("live"), `Scan ${index}: no answer.`);
+    if (map && set && word === "No answer") say($("live"), `Scan ${numberOf()}: no answer.`);
     say($("why"), map && !set ? "Drop a file of scans on the map." : "");
   }
   if (!state.following) told = "";
@@ -98,7 +99,7 @@ function showHypotheses() {
 /** By how much a pose fits worse than the best hypothesis, as odds. */
 function comparison() {
   const { fit, answer, scan, index, chosen } = state, best = answer?.hypotheses[0];
-  if (!best || answer.index !== index || fit.of !== scan) return "";
+  if (!best || answer.index !== index || fit.of !== scan || fit.log_likelihood === null) return "";
   if (answer.parameters?.method !== "fused" || chosen === 0) return "";
   const nats = fit.log_likelihood - best.log_likelihood;
   const worth = Math.exp(Math.min(50, Math.abs(nats) / answer.evidence.temperature));
@@ -110,9 +111,11 @@ function showPose() {
   const { pose, fit, scan, chosen, marks, index } = state;
   $("pose").hidden = !pose || !scan;
   if (!pose || !scan) return;
-  say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : chosen === -1 ? "Pose set by hand" : "Pose by the tracker");
-  say($("pose-where"), poseWords(pose));
-  say($("pose-score"), fit ? `Fit ${fixed(fit.per_reading, 2)} of ${fixed(fit.best, 2)} (log-likelihood per reading).` : "");
+  say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : TITLES[chosen]);
+  const { mount } = scan.given;
+  say($("pose-where"), `Sensor: ${poseWords(pose)}`);
+  say($("pose-robot"), mount ? `Robot: ${poseWords(robotOf(pose, mount))}` : "");
+  say($("pose-score"), fit && fit.per_reading !== null ? `Fit ${fixed(fit.per_reading, 2)} of ${fixed(fit.best, 2)} (log-likelihood per reading).` : "");
   say($("pose-against"), fit ? comparison() : "");
   say($("pose-stands"), fit && !fit.stands ? "No sensor can be here: it is in a wall, or off the map." : "");
   const counts = fit?.counts ?? {}, total = Math.max(1, Object.values(counts).reduce((sum, n) => sum + n, 0));

@@ -1,5 +1,11 @@
 // What the page shows, in one object, and who wants to hear of its changes.
 
+/** Where a pose is from that is no hypothesis: set by hand, by the tracker, or nobody has found any. */
+export const HAND = -1, TRACKER = -2, NOWHERE = -3;
+
+/** How scans are taken, unless somebody says otherwise. */
+export const USUAL = { flipped: false, range_max: "", range_scale: "", sensor: "" };
+
 export const state = {
   maps: [], // rows of the service: {name, width, height, resolution, origin, path ...}
   map: null, // the one that is looked at
@@ -7,7 +13,8 @@ export const state = {
   index: 0, // of the scan that is looked at
   scan: null, // that scan, as scan.js prepares it; null until it is here
   method: "fused",
-  taken: { flipped: false, range_max: "", range_scale: "", sensor: "" }, // how the scans were taken
+  lasers: null, // of a log with several: {file, names, topic: the one that is read, "" until it is named}
+  taken: USUAL, // how the scans were taken
   known: { near: null, region: null, clearance: 0 },
   busy: "", // what the service is asked at the moment
   trouble: "", // the last error, in a sentence
@@ -19,7 +26,7 @@ export const state = {
   refused: false, // whether the service has refused to answer the scan
   verdicts: [], // of the scans that were answered, by index
   pose: null, // {x, y, theta} of the sensor, where its scan is drawn
-  chosen: -1, // the hypothesis that this is; -1 set by hand, -2 by the tracker
+  chosen: HAND, // the hypothesis that this is, or who else has set it
   fit: null, // what each reading says at the pose, and the scan that it is `of`
   reading: -1, // the reading that is asked about
   layer: "",
@@ -35,6 +42,9 @@ export const state = {
   drawn: [], // corners that the tool has set, [[x, y]...]
   cursor: null, // {x, y} of the map frame, where the keyboard points
 };
+
+/** The number in its file of a scan that is here: of that which is looked at, unless another is named. */
+export const numberOf = (index = state.index) => state.set?.indices?.[index] ?? index;
 
 const listeners = [];
 

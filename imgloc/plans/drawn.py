@@ -1,0 +1,551 @@
+"""From the strokes of a drawing to maps: what each is, how large, and where a building is.
+
+The name of a layer or block tells most of it, in any of several languages. What no name tells the
+shapes do: an arc with a straight leaf is a door, and the widths of doors tell the unit.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from skimage.morphology import skeletonize
+
+from imgloc.errors import ConfigError, MapError
+from imgloc.features.distance import distance_transform
+from imgloc.geometry import rotation
+from imgloc.model import BoolArray, FloatArray, IntArray, Pose2D
+from imgloc.plans.floorplan import (
+    _HATCH,
+    _LEAST,
+    _LINE,
+    _MOST,
+    _OUTSIDE,
+    _PARTS,
+    _SWING,
+    _SYMBOL,
+    _TEXT,
+    _WALL,
+    CELL,
+    THICKEST,
+    THINNEST,
+    FloorPlan,
+    _as_grid,
+    _coarser,
+    _counted,
+    _depth,
+    _finer,
+    _greatest,
+    _grown,
+    _inside,
+    _opened,
+    _pieces,
+    _spans,
+    _standing,
+    _touching,
+)
+from imgloc.plans.vectors import NAMES, Drawing, Stroke
+
+_KIND = {"": _LINE, "note": _TEXT, "stairs": _HATCH, "thing": _SYMBOL, "door": _SWING}
+_BITS = 8  # of the fraction of a pixel, that cv2 draws
+_HANGS = 0.15  # of its width, that a leaf may end beside its hinge or its swing
+_SHARP = np.cos(np.deg2rad(26))  # a larger turn is a corner, and not a part of an arc
+_SWINGS = (55, 185)  # degrees that a door may turn
+_LEAVES = (0.55, 1.3)  # metres that a leaf may be wide
+_SIZES = (3.0, 1000.0)  # metres that a floor may be long
+_ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
+_APART = 10.0  # metres between two drawings in one file, at least
+_FEW = 0.05  # of the strokes of the largest drawing, that another one has at least
+_JOINED = 0.3  # metres between two parts of a building at most
+_SMALL = 0.25  # of the largest floor, that another one has at least
+_COVERED = 0.15  # of the box around walls by their names, that they enclose: they are all walls
+_MORE = 2  # times as much has to be enclosed with lines that no name tells of
+_PILLARS = 2.0  # metres that a filled area may be wide, and still be a wall or a pillar
+# Square metres of what is between two lines, at least, for each of the thicknesses of walls: what
+# is thicker than most walls has to be longer than a cupboard or a cabin.
+_BODY = (0.03, 2.0)
+_AROUND = 2.0  # metres around a floor that are shown
+_ROOM = 1.5  # square metres of a room, at least
+
+#: What names of layers and blocks begin with, or hold if four letters or more; the first counts.
+_STEMS: dict[str, str] = {
+    "thing": (
+        "furn arred mobil möbel moebel mobel meubl mueble мебел 家具 equip attrezz sanit wc eq "
+        "kitchen küche cucina fixture appliance chair table sofa bed desk plant veget tree car "
+        "people table toilet bath sink 洁具 卫生 设备 сантех einricht inventar"
+    ),
+    "note": (
+        "dim dims quot cota cotas bemas maß text txt scritt anno annot title titol cartig stempel "
+        "axe axes axis asse assi achs eje grid frame border rahmen symb level rights proje proie "
+        "dash tratteg hidden verdeckt roof ceil dach decke techo beam trave elec elek hvac "
+        "defpoint viewport vport area room north nord patt iden tag legend logo leyend "
+        "оси размер текст осев штамп 标注 轴 文字 尺寸 图框 轴线 注释 房间 寸法 通り芯 www .com"
+    ),
+    "stairs": "stair scala scale trep trap escal scar comunic лестн 楼梯 階段 schod ramp lift elev",
+    "window": "win wind window winow fenster fenetr fenêtr finestr vetrat ventan janel окн 窗 窓 "
+    "okn glaz glas glass raam fönst vindu vindue jendela curtain",
+    "door": "door port porte porta türe tür tuer puert двер 门 門 扉 drzw dveř dver kapı deur dør "
+    "dörr ovi pintu usci",
+    "wall": "wall mur mure murs muro muratur wand wänd waende maue paret pared tabiq "
+    "alvenar стен перег 墙 壁 ścian scian sten stěn vegg vägg væg seinä duvar dind cloison partit "
+    "gips drywall plaster cartong column pilast pilar pillar stütz stuetz poteau колон 柱 kolom "
+    "concret beton struct tragw ziegel brick",
+}
+_WORDS = re.compile(r"[^\W\d_]+|\.com")
+
+
+def role_of(name: str) -> str:
+    """Return what is drawn on a layer or in a block by its name; empty if no word is known."""
+    words = _WORDS.findall(name.lower())
+    for role, stems in _STEMS.items():
+        for stem in stems.split():
+            whole = len(stem) < 3 and stem.isascii()
+            short = len(stem) == 3 and stem.isascii()
+            if any(
+                w == stem if whole else w.startswith(stem) if short else stem in w for w in words
+            ):
+                return role
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Door:
+    """One leaf of a door, in the units of its drawing."""
+
+    hinge: FloatArray  #: (2,)
+    closed: FloatArray  #: (2,) where its free end is when it is closed
+    opened: FloatArray  #: (2,) where it is drawn, or the other end of its swing
+    width: float
+    both: bool  #: a leaf is drawn at both ends
+
+
+def doors_of(strokes: Sequence[Stroke], roles: Sequence[str]) -> list[Door]:
+    """The arcs about one end of a straight line as long as their radius: leaves of doors."""
+    apart = ("thing", "note", "stairs")
+    pairs = [
+        np.stack((s.points[:-1], s.points[1:]), axis=1)
+        for s, role in zip(strokes, roles, strict=True)
+        if role not in apart or len(s.points) < 6
+    ]
+    walls = [s.points for s, role in zip(strokes, roles, strict=True) if role == "wall"]
+    if not pairs:
+        return []
+    both = np.concatenate(pairs)
+    both = np.concatenate((both, both[:, ::-1]))  # from either end
+    tree, length = cKDTree(both[:, 0]), np.hypot(*(both[:, 1] - both[:, 0]).T)
+    found = list[Door]()
+    for stroke, role in zip(strokes, roles, strict=True):
+        if role in ("thing", "stairs") or stroke.filled:
+            continue
+        for centre, radius, tips in _arcs(stroke.points):
+            near = np.array(tree.query_ball_point(centre, _HANGS * radius), int)
+            near = near[abs(length[near] - radius) < _HANGS * radius]
+            leaf = [
+                bool((np.hypot(*(both[near, 1] - tip).T) < _HANGS * radius).any()) for tip in tips
+            ]
+            twice = (
+                np.hypot(*(d.hinge - centre)) < 0.3 * radius
+                and abs(d.width - radius) < 0.3 * radius
+                for d in found
+            )
+            if (any(leaf) or role == "door") and not any(twice):
+                opened = 0 if leaf[0] or not leaf[1] else 1
+                found.append(Door(centre, tips[1 - opened], tips[opened], radius, all(leaf)))
+    return _turned(found, walls)
+
+
+def _turned(doors: list[Door], walls: list[FloatArray]) -> list[Door]:
+    """The same, closed where a wall, or another leaf, goes on: a leaf may be drawn at both ends."""
+    if not walls:
+        return doors
+    some = np.concatenate(
+        [_dense(w, np.median([d.width for d in doors] or [1]) / 20) for w in walls]
+    )
+    tree = cKDTree(some)
+    out = []
+    for d in doors:
+        ends = d.closed, d.opened
+        beyond = [end + 0.1 * (end - d.hinge) for end in ends]
+        away = [float(tree.query(b)[0]) for b in beyond]
+        for k, end in enumerate(ends):
+            tips = [t for o in doors if o is not d for t in (o.closed, o.opened, o.hinge)]
+            if tips and np.hypot(*(np.array(tips) - end).T).min() < _HANGS * d.width:
+                away[k] = min(away[k], 0.1 * d.width)
+        swap = away[1] + (0 if d.both else 0.15 * d.width) < away[0]
+        out.append(replace(d, closed=d.opened, opened=d.closed) if swap else d)
+    return out
+
+
+def _dense(points: FloatArray, step: float) -> FloatArray:
+    """Points along a line, no farther apart than `step`, up to a bound."""
+    long = np.hypot(*np.diff(points, axis=0).T)
+    n = np.minimum(np.ceil(long / step), 2000).astype(int) + 1
+    return np.concatenate(
+        [
+            a + np.linspace(0, 1, k)[:, None] * (b - a)
+            for a, b, k in zip(points[:-1], points[1:], n, strict=True)
+        ]
+    )
+
+
+def _arcs(points: FloatArray) -> list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]:
+    """The parts of a line that are arcs of 55 to 185 degrees: centre, radius and both ends."""
+    out = list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]()
+    step = np.diff(points, axis=0)
+    long = np.hypot(*step.T)
+    step, points = step[long > 0], np.concatenate((points[:1], points[1:][long > 0]))
+    long = long[long > 0]
+    if len(step) < 3:
+        return out
+    unit = step / long[:, None]
+    turn = (unit[1:] * unit[:-1]).sum(axis=1)
+    ratio = long[1:] / long[:-1]
+    cuts = np.flatnonzero((turn < _SHARP) | (ratio > 2.5) | (ratio < 0.4)) + 1
+    for a, b in zip((0, *cuts), (*cuts, len(step)), strict=True):
+        own = points[a : b + 1]
+        if len(own) < 4:
+            continue
+        middle = own.mean(axis=0)
+        to = own - middle
+        (x, y, c), *_ = np.linalg.lstsq(
+            np.column_stack((2 * to, np.ones(len(to)))), (to**2).sum(axis=1), rcond=None
+        )
+        centre, radius = middle + (x, y), float(np.sqrt(max(0.0, c + x * x + y * y)))
+        away = np.hypot(*(own - centre).T)
+        if not radius or np.abs(away - radius).max() > 0.03 * radius:
+            continue
+        angle = np.unwrap(np.arctan2(*(own - centre).T[::-1]))
+        if _SWINGS[0] < abs(np.rad2deg(angle[-1] - angle[0])) < _SWINGS[1]:
+            out.append((centre, radius, (own[0], own[-1])))
+    return out
+
+
+def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tuple[float, str]:
+    """Metres of a unit of a drawing, and how that was found: from its header, if doors agree."""
+    parts = [
+        s.points for s, r in zip(drawing.strokes, roles, strict=True) if r in ("wall", "window")
+    ]
+    points = np.concatenate(parts or [s.points for s in drawing.strokes])
+    span = float(np.ptp(np.percentile(points, (5, 95), axis=0), axis=0).max())
+    widths = np.array([d.width for d in doors])
+
+    def agree(unit: float) -> int:
+        fits = _SIZES[0] < span * unit < _SIZES[1]
+        return fits * int(np.count_nonzero(abs(np.log(widths * unit / 0.85)) < 0.44))
+
+    for unit, said in drawing.units:
+        if agree(unit) >= 2 or (agree(unit) and len(doors) < 3):
+            return unit, f"{said} as the file states, and {agree(unit)} doors fit"
+    votes = {unit: 0 if drawing.page else agree(unit) for unit in NAMES if unit != 0.1}
+    best = max(votes, key=lambda unit: votes[unit])
+    stated = [said for _, said in drawing.units]
+    if votes[best] >= 2:
+        but = f", and not {stated[0]} as the file states" if stated else ""
+        return best, f"{NAMES[best]}, by the widths of {votes[best]} doors{but}"
+    for unit, said in drawing.units:
+        if not len(doors) and _SIZES[0] < span * unit < _SIZES[1]:
+            return unit, f"{said} as the file states; there is no door to check it by"
+    raise MapError(
+        f"its scale is unknown: the file states {' or '.join(stated) or 'none'}, and no doors fit; "
+        "`resolution` is metres a unit of the drawing, and `distance` finds it"
+    )
+
+
+def clusters(points: FloatArray, near: float) -> IntArray:
+    """Labels of points (N, 2): those of two pieces are farther apart than `near`, or nearly so."""
+    cells, of = np.unique(np.floor(points / near).astype(np.int64), axis=0, return_inverse=True)
+    pairs, n = cKDTree(cells).query_pairs(1.5, output_type="ndarray"), len(cells)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    labels: IntArray = connected_components(graph, directed=False)[1]
+    return np.asarray(labels[of.ravel()], np.int64)
+
+
+@dataclass(eq=False)
+class Sheet:
+    """Strokes as pixels: what is a line, an area, a door that is closed; and what each is."""
+
+    corner: FloatArray  #: (2,) metres
+    pixel: float
+    parts: int  #: pixels along a cell
+    shape: tuple[int, int]
+    unit: float  #: metres
+
+    def fixed(self, points: FloatArray) -> npt.NDArray[np.int32]:
+        """Points of the drawing as cv2 takes them."""
+        at = (points * self.unit - self.corner) / self.pixel - 0.5
+        return np.asarray(np.rint(np.clip(at, -2e4, 4e4) * 2**_BITS), np.int32)
+
+    def lines(self, strokes: Iterable[Stroke]) -> BoolArray:
+        """Pixels of lines, as wide as they are drawn."""
+        out = np.zeros(self.shape, np.uint8)
+        for s in strokes:
+            wide = max(1, round(min(s.wide * self.unit, _PILLARS) / self.pixel))
+            cv2.polylines(out, [self.fixed(s.points)], False, 1, wide, cv2.LINE_8, _BITS)
+        return out > 0
+
+    def areas(self, strokes: Iterable[Stroke]) -> BoolArray:
+        """Pixels of filled areas; of two in one another the inner one is a hole."""
+        out = np.zeros(self.shape, np.uint8)
+        some = [self.fixed(s.points) for s in strokes if s.filled]
+        if some:
+            cv2.fillPoly(out, some, 1, cv2.LINE_8, _BITS)
+        # What is wider than any pillar is paper, or the colour of a floor.
+        labels, stats = _pieces(out > 0)
+        pillar = 2 * self.pixel * _greatest(_depth(out > 0), labels, out > 0, len(stats)) < _PILLARS
+        return np.asarray((out > 0) & pillar[labels])
+
+    def on(self, point: FloatArray, cells: BoolArray, cell: float) -> bool:
+        """Return whether a point of the drawing is on some cells."""
+        column, row = np.floor((point * self.unit - self.corner) / cell).astype(int).tolist()
+        here = 0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]
+        return here and bool(cells[row, column])
+
+
+def drawing_to_maps(
+    drawing: Drawing, *, resolution: float | None = None, origin: Pose2D | None = None,
+    cell: float | None = None, thickest: float | None = None, gap: float | None = None,
+    doors: str = "open", walls: Sequence[str] = (), furniture: bool = False,
+) -> list[FloorPlan]:  # fmt: skip
+    """Make a map of each floor of a drawing, the largest first."""
+    cell = CELL if cell is None else cell
+    roles = _roles(drawing.strokes, walls)
+    leaves = doors_of(drawing.strokes, roles)
+    unit, said = (resolution, "as given") if resolution else unit_of(drawing, leaves, roles)
+    leaves = [d for d in leaves if _LEAVES[0] < d.width * unit < _LEAVES[1]]
+    part = _parts_of_doors(drawing.strokes, roles, leaves)
+    roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
+    best = list[Floor]()
+    for taken in (("wall", "window"), ("wall", "window", "")):
+        some = [
+            s for s, r in zip(drawing.strokes, roles, strict=True) if r in taken and not s.dashed
+        ]
+        if not some or (walls and "" in taken):
+            continue
+        box = np.ptp(np.concatenate([s.points for s in some]), axis=0).prod() * unit**2
+        if sum(f.area for f in best) * cell**2 > _COVERED * box:
+            break
+        floors = _floors(some, leaves, unit, cell, thickest, gap, named="" not in taken)
+        if sum(f.area for f in floors) > _MORE * sum(f.area for f in best):
+            best = floors
+    if not best:
+        widest = "" if gap is None else f" of {gap:g} m"
+        raise MapError(
+            f"its lines enclose no room, not even if openings{widest} in outer walls are closed; "
+            f"its scale is {unit:g} metres a unit, {said}; `walls` names the layers of walls, and "
+            "`resolution` is another scale"
+        )
+    lost = sum(not any(f.has(d) for f in best) for d in leaves)
+    plans = [
+        _finished(
+            f, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture
+        )
+        for f in best
+    ]
+    return [replace(plans[0], lost_doors=lost), *plans[1:]]
+
+
+def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
+    """Roles of strokes by their names; `walls` are the layers of walls, if any are given."""
+    names = {s.layer: role_of(s.layer) for s in strokes}
+    if walls:
+        of = {name: {*name.lower().split(" / ")} for name in names}
+        known = set[str]().union(*of.values())
+        for asked in (name.strip().lower() for name in walls):
+            if asked not in known:
+                some = ", ".join(sorted(name[:30] for name in known)[:12])
+                raise ConfigError(f"`walls`: got {asked}, expected of the layers {some}")
+        taken = {name.strip().lower() for name in walls}
+        names = {
+            name: "wall" if of[name] & taken else "" if role == "wall" else role
+            for name, role in names.items()
+        }
+    return [names[s.layer] for s in strokes]
+
+
+def _parts_of_doors(
+    strokes: Sequence[Stroke], roles: Sequence[str], leaves: Sequence[Door]
+) -> BoolArray:
+    """Which strokes are no wall, and wholly near the swing of a door: leaves, frames, handles."""
+    out = np.zeros(len(strokes), np.bool_)
+    if leaves:
+        hinges, widths = np.array([d.hinge for d in leaves]), np.array([d.width for d in leaves])
+        for k, (s, role) in enumerate(zip(strokes, roles, strict=True)):
+            if role != "wall" and len(s.points) < 200:
+                far = np.hypot(*(s.points[:, None] - hinges).T)
+                near = far.max(axis=1) < _ZONE * widths
+                # A short line without a name may be the end of a wall.
+                short = not role and np.ptp(s.points, axis=0).max() < 0.5 * widths
+                out[k] = bool((near & ~np.asarray(short)).any())
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """Walls that enclose rooms on a drawing."""
+
+    sheet: Sheet
+    walls: BoolArray  #: pixels
+    shut: BoolArray  #: pixels of closed doors
+    leaves: Sequence[Door]
+    inside: BoolArray  #: cells
+    gap: float  #: metres
+    guessed: bool  #: no names tell which lines are walls
+
+    @property
+    def area(self) -> int:
+        """Cells of the building."""
+        return int(np.count_nonzero(self.inside))
+
+    def has(self, door: Door) -> bool:
+        """Return whether a door is in the building, or in a wall of it."""
+        cell = self.sheet.pixel * self.sheet.parts
+        return self.sheet.on(door.closed, _grown(self.inside, round(_JOINED / cell)), cell)
+
+
+def _floors(
+    strokes: Sequence[Stroke], leaves: Sequence[Door], unit: float, cell: float,
+    thickest: float | None, gap: float | None, *, named: bool,
+) -> list[Floor]:  # fmt: skip
+    """The floors that strokes enclose, the largest first; `named` if all of them are walls."""
+    points = [_dense(s.points * unit, _APART / 2) for s in strokes]
+    labels = clusters(np.concatenate(points), _APART)
+    of = labels[np.cumsum([0, *(len(p) for p in points[:-1])])]
+    counts = np.bincount(of)
+    floors = list[Floor]()
+    for k in np.flatnonzero(counts >= _FEW * counts.max()).tolist():
+        some = [s for s, own in zip(strokes, of, strict=True) if own == k]
+        floors += _floors_of(some, leaves, unit, cell, thickest, gap, named=named)
+    floors.sort(key=lambda f: -f.area)
+    doors = any(len(f.leaves) > 1 for f in floors)
+    return [f for f in floors if f.area > _SMALL * floors[0].area and (f.leaves or not doors)]
+
+
+def _floors_of(
+    strokes: Sequence[Stroke], leaves: Sequence[Door], unit: float, cell: float,
+    thickest: float | None, gap: float | None, *, named: bool,
+) -> list[Floor]:  # fmt: skip
+    """The floors of strokes that lie together."""
+    points = np.concatenate([s.points for s in strokes]) * unit
+    low, high = np.floor((points.min(axis=0) - 1) / cell) * cell, points.max(axis=0) + 1
+    size = np.ceil((high - low)[::-1] / cell).astype(int)
+    parts = next((p for p in _PARTS if np.prod(size * p) <= _MOST / 2), 1)
+    if np.prod(size) > _MOST:
+        raise MapError(
+            f"it is {size[1] * cell:.0f} x {size[0] * cell:.0f} m at {unit:g} metres a unit, more "
+            "than its map may have; a larger `cell`, or another `resolution`"
+        )
+    sheet = Sheet(low, cell / parts, parts, tuple((size * parts).tolist()), unit)
+    drawn = sheet.lines(strokes)
+    solid = sheet.areas(strokes) | sheet.lines(s for s in strokes if s.wide * unit >= THINNEST)
+    shut = sheet.lines(Stroke(np.array([d.hinge, d.closed]), "") for d in leaves)
+    walls = _bodies(drawn | solid, sheet.pixel, thickest, named=named)
+    if not named:  # lines are walls only beside what is between two of them
+        standing = _standing(_opened(walls, max(3.0, THINNEST / sheet.pixel)), drawn, sheet.pixel)
+        walls = standing[0] | standing[1]
+    taken = _coarser(walls | shut, parts) > 0
+    labels, stats = _pieces(_grown(taken, max(1, round(_JOINED / cell))))
+    floors = list[Floor]()
+    spans = _spans(stats)
+    for k in np.argsort(-spans, kind="stable").tolist():
+        most = max((f.area for f in floors), default=0)
+        if spans[k] <= max(_LEAST / cell**2, _SMALL * most):
+            break
+        x, y, wide, high = stats[k, :4].tolist()
+        here = slice(y, y + high), slice(x, x + wide)
+        inside = np.zeros_like(taken)
+        inside[here], closed = _inside((taken & (labels == k))[here], cell, gap)
+        if np.count_nonzero(inside) * cell**2 > _LEAST:
+            own = _touching(walls, _finer(inside, parts))
+            doors = (_coarser(shut & ~walls, parts) > 0) & _grown(inside, 1)
+            hung = [d for d in leaves if sheet.on(d.closed, labels == k, cell)]
+            floors.append(Floor(sheet, own, shut, hung, inside | doors, closed, not named))
+    return floors
+
+
+def _bodies(drawn: BoolArray, pixel: float, thickest: float | None, *, named: bool) -> BoolArray:
+    """The lines of walls, and what is between them: nowhere wider than a wall, or a dead end."""
+    free = ~drawn
+    depth = _depth(free)
+    labels, stats = _pieces(free, 4)
+    most = thickest or THICKEST[-1 if named else 0]
+    thin = 2 * pixel * _greatest(depth, labels, free, len(stats)) <= most
+    thin[0] = False
+    out = drawn | thin[labels]
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    for most, least in zip(THICKEST if thickest is None else (thickest,), _BODY, strict=False):
+        radius = most / 2 / pixel
+        wide = distance_transform((depth <= radius).astype(np.uint8)) <= radius
+        for _ in range(round(0.7 * radius)):  # into corners, and no line is crossed
+            wide = (cv2.dilate(wide.astype(np.uint8), cross) > 0) & free
+        pieces, found = _pieces(free & ~wide, 4)
+        large = found[:, cv2.CC_STAT_AREA] > least / pixel**2
+        large[0] = False
+        out |= large[pieces]
+    return out
+
+
+def _finished(
+    floor: Floor, strokes: Sequence[Stroke], roles: Sequence[str], origin: Pose2D, doors: str,
+    said: str, *, furniture: bool,
+) -> FloorPlan:  # fmt: skip
+    """The map of a floor, and what each pixel around it was taken for."""
+    sheet, cell = floor.sheet, floor.sheet.pixel * floor.sheet.parts
+    x, y, wide, high = cv2.boundingRect(
+        (_finer(floor.inside, sheet.parts) | floor.walls).astype(np.uint8)
+    )
+    pad = round(_AROUND / cell)
+    n = sheet.parts
+    rows, columns = (
+        slice(max(0, low // n - pad), -(-(low + size) // n) + pad)
+        for low, size in ((y, high), (x, wide))
+    )
+    fine = tuple(slice(s.start * n, s.stop * n) for s in (rows, columns))
+    inside = floor.inside[rows, columns]
+    walls, shut = floor.walls[fine], floor.shut[fine]
+    kinds = np.zeros(sheet.shape, np.uint8)
+    for role, kind in _KIND.items():
+        kinds[sheet.lines(s for s, r in zip(strokes, roles, strict=True) if r == role)] = kind
+    kinds = kinds[fine]
+    kinds[(kinds > 0) & ~_grown(_finer(inside, n), 2)] = _OUTSIDE
+    kinds[walls] = _WALL
+    _, _, width, height = cv2.boundingRect(walls.astype(np.uint8))
+    middle = skeletonize(walls)
+    through = (2 * _depth(walls)[middle] - 0.5) * sheet.pixel
+    low, median, top = np.percentile(through, (5, 50, 95)).tolist()
+    at = sheet.corner + np.array((columns.start, rows.start)) * cell
+    at = rotation(origin.theta) @ at
+    corner = Pose2D(origin.x + at[0], origin.y + at[1], origin.theta)
+    solid, within = walls.copy(), _finer(inside, n)
+    if doors == "closed":
+        solid |= shut & within
+    if furniture:
+        solid |= (kinds == _SYMBOL) & within
+    hidden = _grown(shut, round(0.1 / sheet.pixel)) & ~walls if doors == "unknown" else None
+    grid = _as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden)
+    apart = inside & ~_grown(_coarser(walls | shut, n) > 0, 1)
+    rooms = _pieces(apart, 4)[1][1:, cv2.CC_STAT_AREA] * cell**2
+    return FloorPlan(
+        grid=grid,
+        kinds=kinds,
+        pixel=sheet.pixel,
+        size=(width * sheet.pixel, height * sheet.pixel),
+        walls=len(_pieces(walls)[1]) - 1,
+        length=len(through) * sheet.pixel,
+        thickness=(low, median, top),
+        doors=tuple(sorted(d.width * sheet.unit for d in floor.leaves)),
+        removed=_counted(kinds, len(floor.leaves), sheet.pixel),
+        gap=floor.gap,
+        thinnest=sheet.pixel,
+        thickest=THICKEST[-1],
+        inverted=False,
+        framed_area=0.0,
+        other_area=0.0,
+        rooms=int(np.count_nonzero(rooms > _ROOM)),
+        scale=(sheet.unit, said),
+        guessed=floor.guessed,
+    )

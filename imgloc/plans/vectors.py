@@ -1,0 +1,393 @@
+"""Drawings of programs, read as strokes: DXF, SVG and PDF.
+
+A stroke is a line of points and what the file states of it: the layer that it is on, the block that
+it is part of, whether it is filled or dashed. Whatever else a file may hold is left where it is:
+scripts, links, images, fonts. What a file can unfold to is bounded: blocks in blocks, copies, and
+entities of entities.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import ConfigError, MapError
+from imgloc.io.files import display, read_file
+from imgloc.model import FloatArray
+
+MAX_BYTES = 100_000_000  #: of a file
+MOST = 400_000  #: strokes, and entities in the file; a large floor has some 20,000
+_DEEP = 24  # blocks within blocks
+_FAR = 1e10  # units from the zero point: nothing that is built is farther away
+_FINE = 0.003  # of its size, that a line may stay away from its curve
+#: metres of the units of a DXF, by the number in its header
+UNITS = {1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 14: 0.1}
+NAMES = {0.0254: "inches", 0.3048: "feet", 0.001: "mm", 0.01: "cm", 1.0: "m", 0.1: "dm"}
+
+
+@dataclass(frozen=True, eq=False)
+class Stroke:
+    """A line of points as a file has it, with straight lines between them."""
+
+    points: FloatArray  #: (N, 2), in the units of the file, y up
+    layer: str  #: and the names of the blocks that it is part of
+    filled: bool = False  #: it is the edge of an area
+    dashed: bool = False
+    wide: float = 0.0  #: in the units of the file, if it is a line with a width of its own
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """The lines of a file, and its units."""
+
+    strokes: list[Stroke]
+    #: metres that a unit may be as the file states it, the most likely first; and what states it
+    units: tuple[tuple[float, str], ...]
+    page: bool = False  #: its units are those of paper: a scale that is not stated cannot be found
+    missing: tuple[str, ...] = ()  #: other files that it refers to
+
+
+def read_drawing(path: Path) -> Drawing:
+    """Read a DXF, SVG or PDF.
+
+    Raises
+    ------
+    MapError
+        If the file is missing, damaged, cut off, too large, or has no lines.
+    ConfigError
+        If what reads such files is not installed.
+    """
+    name, kind = display(path), path.suffix.lower()
+    data = read_file(path, limit=MAX_BYTES, error=MapError, what="drawing")
+    try:
+        drawing = READERS[kind](data)
+    except ImportError as error:
+        need = f"{name}: {kind[1:].upper()} needs {error.name}: pip install 'imgloc[cad]'"
+        raise ConfigError(need) from None
+    except MapError as error:
+        raise MapError(f"{name}: {error}") from None
+    except RecursionError:
+        raise MapError(f"{name}: its parts are nested too deeply to be read") from None
+    if not drawing.strokes:
+        others = ", ".join(drawing.missing[:3])
+        why = f"; it only refers to other files, {others}: bind them" if others else ""
+        raise MapError(f"{name}: there is no line on it, expected the drawing of a floor{why}")
+    return drawing
+
+
+def _drawn(points: FloatArray) -> bool:
+    """Return whether points are a line that can be drawn: an infinite one cannot."""
+    return len(points) > 1 and bool((abs(points) < _FAR).all() and np.ptp(points, axis=0).any())
+
+
+def _dxf(data: bytes) -> Drawing:
+    import io
+
+    from ezdxf import recover
+    from ezdxf.lldxf.const import DXFError
+
+    if data.startswith(b"AutoCAD Binary DXF"):
+        raise MapError("it is a binary DXF, expected one as text: save it as ASCII")
+    if data.startswith(b"AC10"):
+        raise MapError("it is a DWG, expected a DXF: save it as one")
+    if len(re.findall(rb"\n *0\r?\n *[A-Z3][A-Z_]{2,}", data)) > 3 * MOST:
+        raise MapError(f"it has more than {3 * MOST:,} entities, expected the drawing of a floor")
+    if not data.rstrip(b"\r\n \x1a\0").endswith(b"EOF"):
+        last = re.findall(rb"\n *0\r?\nSECTION\r?\n *2\r?\n(\w+)", data[:MAX_BYTES])
+        raise MapError(
+            "the file is cut off: it does not end with EOF, but in its section "
+            f"{last[-1].decode() if last else '(none)'}; get the whole file"
+            if last
+            else "it is no DXF: it has no sections and no EOF"
+        )
+    try:
+        document, _ = recover.read(io.BytesIO(data))
+        strokes = list(_unfolded(document))
+    except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+        raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
+    others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
+    unit = UNITS.get(document.header.get("$INSUNITS", 0))
+    return Drawing(strokes, ((unit, NAMES[unit]),) if unit in NAMES else (), missing=tuple(others))
+
+
+def _unfolded(document: Any) -> Iterator[Stroke]:
+    """The strokes of the model of a DXF, its blocks unfolded, without layers that are off."""
+    off = {y.dxf.name.lower() for y in document.layers if y.is_off() or y.is_frozen()}
+    dashes = {t.dxf.name.lower() for t in document.linetypes if len(t.pattern_tags.tags) > 4}
+    lines = {y.dxf.name.lower(): y.dxf.linetype.lower() for y in document.layers}
+    waiting: list[tuple[Any, str, str, tuple[str, ...]]]
+    waiting = [(e, "0", "", ()) for e in reversed(document.modelspace())]
+    count = 0
+    while waiting:
+        entity, layer, line, blocks = waiting.pop()
+        count += 1
+        if count > MOST:
+            raise MapError(f"its blocks unfold to more than {MOST:,} entities: a bomb?")
+        layer = layer if entity.dxf.layer == "0" else entity.dxf.layer
+        own = entity.dxf.get("linetype", "BYLAYER").lower()
+        line = (
+            lines.get(layer.lower(), "") if own == "bylayer" else line if own == "byblock" else own
+        )
+        if layer.lower() in off or entity.dxf.get("invisible", 0):
+            continue
+        kind = entity.dxftype()
+        if kind == "INSERT":
+            block = entity.dxf.name
+            if block in blocks or len(blocks) >= _DEEP:
+                raise MapError(f"the block {block[:40]} is part of itself")
+            if (
+                entity.mcount > MOST
+                or len(entity.block() or ()) * entity.mcount + len(waiting) > MOST
+            ):
+                raise MapError(f"its blocks unfold to more than {MOST:,} entities: a bomb?")
+            copies = entity.multi_insert() if entity.mcount > 1 else (entity,)
+            waiting += [
+                (e, layer, line, (*blocks, block)) for c in copies for e in c.virtual_entities()
+            ]
+        elif kind in ("MLINE", "ACAD_PROXY_ENTITY"):
+            waiting += [(e, layer, line, blocks) for e in entity.virtual_entities()]
+        else:
+            where = " / ".join((layer, *blocks))
+            for points, filled, wide in _traced(entity, kind):
+                if _drawn(points):
+                    yield Stroke(points, where, filled, line in dashes, wide)
+
+
+def _traced(entity: Any, kind: str) -> Iterator[tuple[FloatArray, bool, float]]:
+    """The lines of one entity of a DXF: points, whether they bound an area, their width."""
+    from ezdxf import path
+
+    if kind == "LINE":
+        ends = entity.dxf.start, entity.dxf.end
+        yield np.array([(p.x, p.y) for p in ends]), False, 0.0
+    elif kind in ("HATCH", "MPOLYGON"):
+        for p in path.from_hatch(entity):
+            yield _flat(p), True, 0.0
+    elif kind in ("SOLID", "TRACE", "3DFACE"):
+        points = np.array([(p.x, p.y) for p in entity.wcs_vertices(close=True)])
+        yield points, kind != "3DFACE", 0.0
+    elif kind in ("LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"):
+        wide = entity.dxf.get("const_width", 0.0) if kind == "LWPOLYLINE" else 0.0
+        if kind == "POLYLINE" and not (entity.is_2d_polyline or entity.is_3d_polyline):
+            return
+        yield _flat(path.make_path(entity)), False, float(wide)
+
+
+def _flat(path: Any) -> FloatArray:
+    """The points of a path."""
+    corners = np.array([(p.x, p.y) for p in path.control_vertices()])
+    if len(corners) < 2 or not np.isfinite(corners).all():
+        return np.zeros((0, 2))
+    near = _FINE * float(np.ptp(corners, axis=0).max())
+    return np.array([(p.x, p.y) for p in path.flattening(max(near, 1e-9), segments=2)])
+
+
+_UNSEEN = {"defs", "clipPath", "mask", "symbol", "pattern", "marker", "script", "style", "image",
+           "foreignObject", "metadata", "filter"}  # fmt: skip
+_SCALE = re.compile(r"(?<![\d:.])1 ?[:/] ?(\d{1,4})(?![\d:])")
+_MM = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72, "m": 1000.0}
+_INHERITED = {"fill", "stroke", "stroke-width", "stroke-dasharray", "visibility"}
+_PAGES = 30  # of a PDF
+_WHITE = 0.8  # an area as light hides what is under it, and is none of the building
+
+
+def _svg(data: bytes) -> Drawing:
+    from xml.etree import ElementTree
+
+    from svgelements import Matrix
+
+    if re.search(rb"<!(ENTITY|ATTLIST|ELEMENT)", data):
+        raise MapError("it declares entities, expected an SVG without them: save it as plain SVG")
+    if data.count(b"<") > 4 * MOST:
+        raise MapError(f"it has more than {2 * MOST:,} elements, expected the drawing of a floor")
+    try:
+        root = ElementTree.fromstring(data)  # noqa: S314  (without entities it cannot grow)
+    except ElementTree.ParseError as error:
+        raise MapError(f"it cannot be read as SVG: {error}") from None
+    sheets = " ".join("".join(e.itertext()) for e in root.iter() if str(e.tag).endswith("style"))
+    classes = {k: _rules(v) for k, v in re.findall(r"\.([\w-]+)\s*\{([^}]*)\}", sheets[:1_000_000])}
+    known = {e.get("id"): e for e in root.iter() if e.get("id")}
+    strokes, texts, count = list[Stroke](), list[str](), 0
+    waiting: list[tuple[Any, Any, str, dict[str, str], tuple[str, ...]]]
+    waiting = [(root, Matrix("scale(1,-1)"), "", {}, ())]
+    while waiting:
+        e, matrix, layer, style, path = waiting.pop()
+        count += 1
+        if count > MOST or len(strokes) > MOST:
+            raise MapError(f"its elements unfold to more than {MOST:,}: a bomb?")
+        tag = str(e.tag).rpartition("}")[2]
+        style = style | dict(e.attrib)
+        for name in e.get("class", "").split():
+            style |= classes.get(name, {})
+        style |= _rules(e.get("style", ""))
+        if (tag in _UNSEEN and not (tag == "symbol" and path)) or style.get("display") == "none":
+            continue
+        if tag in ("text", "tspan"):
+            texts += e.itertext()
+            continue
+        try:
+            matrix = Matrix(e.get("transform", "")) * matrix
+            label = next((v for k, v in e.items() if k.endswith("}label")), e.get("id", ""))
+            if tag in ("g", "svg", "a", "symbol", "switch"):
+                layer = f"{layer} / {label}" if layer and label else layer or label
+            elif tag == "use":
+                name = next((v for k, v in e.items() if k.endswith("href")), "").lstrip("#")
+                if name in path or len(path) >= _DEEP:
+                    raise MapError(f"the element {name[:40]} is part of itself")
+                place = Matrix(f"translate({_number(e, 'x')},{_number(e, 'y')})")
+                if name in known:
+                    waiting.append((known[name], place * matrix, layer, style, (*path, name)))
+                continue
+            inherited = {k: v for k, v in style.items() if k in _INHERITED}
+            waiting += [(child, matrix, layer, inherited, path) for child in reversed(e)]
+            strokes += _shaped(e, tag, matrix, layer, style)
+        except (ValueError, TypeError, ArithmeticError, IndexError, AttributeError) as error:
+            raise MapError(f"its element {tag} cannot be read: {str(error)[:80]}") from None
+    wide = re.fullmatch(r"\s*([\d.]+)\s*(mm|cm|in|pt|m)\s*", root.get("width", ""))
+    box = re.findall(r"[-+\d.eE]+", root.get("viewBox", ""))
+    side = float(box[2]) if len(box) == 4 else 0.0
+    paper = float(wide[1]) * _MM[wide[2]] / side / 1000 if wide and side > 0 else 0.0
+    return Drawing(strokes, _stated(paper, texts), page=True)
+
+
+def _rules(text: str) -> dict[str, str]:
+    """Properties in a style, by their names."""
+    return dict(re.findall(r"([\w-]+)\s*:\s*([^;]*[^;\s])", text))
+
+
+def _number(e: Any, key: str) -> float:
+    found = re.match(r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?", e.get(key, ""))
+    return float(found[0]) if found else 0.0
+
+
+def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) -> Iterator[Stroke]:
+    """The strokes of one shape of an SVG."""
+    from svgelements import Color
+
+    x, y, wide, high, rx, ry = (_number(e, k) for k in ("x", "y", "width", "height", "rx", "ry"))
+    if tag == "path":
+        d = e.get("d", "")
+    elif tag == "line":
+        d = "M{},{}L{},{}".format(*(_number(e, k) for k in ("x1", "y1", "x2", "y2")))
+    elif tag == "rect":
+        d = f"M{x},{y}h{wide}v{high}h{-wide}z"
+    elif tag in ("polyline", "polygon"):
+        d = "M" + e.get("points", "") + ("z" if tag == "polygon" else "")
+    elif tag in ("circle", "ellipse"):
+        x, y, r = (_number(e, k) for k in ("cx", "cy", "r"))
+        rx, ry = (r, r) if tag == "circle" else (rx, ry)
+        d = f"M{x - rx},{y}a{rx},{ry} 0 1 0 {2 * rx},0a{rx},{ry} 0 1 0 {-2 * rx},0"
+    else:
+        return
+    fill = style.get("fill", "black")
+    tone = None if fill == "none" or fill.startswith("url") else Color(fill)
+    filled = tone is not None and tone.red + tone.green + tone.blue < _WHITE * 765
+    drawn = style.get("stroke", "none") != "none"
+    if not (filled or drawn) or style.get("visibility") == "hidden":
+        return
+    width = re.match(r"[\d.]+", style.get("stroke-width", "1"))
+    wide = float(width[0]) * abs(matrix.determinant) ** 0.5 if width and drawn else 0.0
+    dashed = style.get("stroke-dasharray", "none") not in ("none", "0", "")
+    for points in _ways(d, matrix):
+        yield Stroke(points, layer, filled, dashed, wide)
+
+
+def _ways(d: str, matrix: Any) -> Iterator[FloatArray]:
+    """The lines of a path as SVG writes it."""
+    from svgelements import Close, Line, Move, Path
+
+    points = list[Any]()
+    for part in (*(Path(d) * matrix), None):
+        if part is None or isinstance(part, Move):
+            out = np.array([(p.x, p.y) for p in points])
+            if _drawn(out):
+                yield out
+            points = [] if part is None else [part.end]
+        elif isinstance(part, Line | Close):
+            points += [part.end] if part.end is not None else []
+        else:
+            points += [part.point(t) for t in np.linspace(0, 1, 13)[1:]]
+
+
+def _stated(paper: float, texts: Sequence[str]) -> tuple[tuple[float, str], ...]:
+    """Metres of a unit by each of the scales in texts, and at full size; on paper it is `paper`."""
+    scales = dict.fromkeys(int(n) for n in _SCALE.findall(" ".join(texts)) if int(n) >= 5)
+    return tuple((paper * n, f"1:{n}") for n in (*scales, 1) if paper > 0)
+
+
+def _pdf(data: bytes) -> Drawing:
+    import pypdfium2
+    import pypdfium2.raw as raw
+
+    try:
+        document = pypdfium2.PdfDocument(data)
+        strokes, texts, low = list[Stroke](), list[str](), 0.0
+        for number in range(min(len(document), _PAGES)):
+            page = document[number]
+            texts.append(page.get_textpage().get_text_bounded()[:100_000])
+            strokes += _page(raw, page.raw, low)
+            low -= 3 * page.get_height()
+            if len(strokes) > MOST:
+                raise MapError(f"it has more than {MOST:,} lines, expected the drawing of a floor")
+    except pypdfium2.PdfiumError as error:
+        raise MapError(f"it cannot be read as PDF: {error}") from None
+    return Drawing(strokes, _stated(_MM["pt"] / 1000, texts), page=True)
+
+
+def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
+    """The strokes of a page of a PDF, `low` above where it is."""
+    from ctypes import c_float, c_int, c_uint
+
+    from svgelements import Matrix
+
+    first = Matrix(f"translate(0,{low})")
+    waiting = [
+        (raw.FPDFPage_GetObject(page, k), first, 0) for k in range(raw.FPDFPage_CountObjects(page))
+    ]
+    count = 0
+    while waiting:
+        obj, outer, deep = waiting.pop()
+        count += 1
+        if count > MOST:
+            raise MapError(f"its parts unfold to more than {MOST:,} objects: a bomb?")
+        m, kind = raw.FS_MATRIX(), raw.FPDFPageObj_GetType(obj)
+        raw.FPDFPageObj_GetMatrix(obj, m)
+        matrix = Matrix(m.a, m.b, m.c, m.d, m.e, m.f) * outer
+        if kind == raw.FPDF_PAGEOBJ_FORM and deep < _DEEP:
+            n = raw.FPDFFormObj_CountObjects(obj)
+            waiting += [(raw.FPDFFormObj_GetObject(obj, k), matrix, deep + 1) for k in range(n)]
+        elif kind == raw.FPDF_PAGEOBJ_PATH:
+            mode, drawn, wide = c_int(), c_int(), c_float()
+            rgba = [c_uint() for _ in range(4)]
+            raw.FPDFPath_GetDrawMode(obj, mode, drawn)
+            raw.FPDFPageObj_GetFillColor(obj, *rgba)
+            raw.FPDFPageObj_GetStrokeWidth(obj, wide)
+            light = sum(c.value for c in rgba[:3]) >= _WHITE * 765 or rgba[3].value < 50
+            filled, dashed = bool(mode.value) and not light, raw.FPDFPageObj_GetDashCount(obj) > 0
+            width = wide.value * abs(matrix.determinant) ** 0.5 if drawn.value else 0.0
+            if filled or drawn.value:
+                for points in _ways(_path(raw, obj), matrix):
+                    yield Stroke(points, "", filled, dashed, width)
+
+
+def _path(raw: Any, obj: Any) -> str:
+    """A path of a PDF as SVG writes it."""
+    from ctypes import c_float
+
+    letters = {raw.FPDF_SEGMENT_MOVETO: "M", raw.FPDF_SEGMENT_LINETO: "L"}
+    x, y, out, curve = c_float(), c_float(), list[str](), 0
+    for k in range(min(raw.FPDFPath_CountSegments(obj), MOST)):
+        segment = raw.FPDFPath_GetPathSegment(obj, k)
+        raw.FPDFPathSegment_GetPoint(segment, x, y)
+        letter = letters.get(raw.FPDFPathSegment_GetType(segment), " " if curve % 3 else "C")
+        curve = 0 if letter in "ML" else curve + 1
+        out.append(f"{letter}{x.value:.9g},{y.value:.9g}")
+        out.append("z" if raw.FPDFPathSegment_GetClose(segment) else "")
+    return " ".join(out)
+
+
+READERS: dict[str, Callable[[bytes], Drawing]] = {".dxf": _dxf, ".svg": _svg, ".pdf": _pdf}
+"""What reads a file, by the end of its name."""
