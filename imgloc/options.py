@@ -756,8 +756,8 @@ class Logs(Checked):
 
     topic: str | None = option(
         None,
-        "Laser to read from a log that contains several; commas join lasers. [default: the front "
-        "laser]",
+        "Laser to read from a log that contains several; commas join lasers. [default: /scan, "
+        "FLASER, or the only one; inspect takes any]",
         metavar="NAME",
     )
     #: radians

@@ -242,7 +242,7 @@ def _scan_faults() -> dict[str, tuple[bytes, str]]:
         "void_bomb.npz": (npz_members(ranges=npy_header((1,), "|V60000000")), "expected numbers"),
         "lying_shape.npz": (npz_members(ranges=npy_header((1000, 1000), "<f8")), "copy the file"),
         "bad_header.npz": (npz_members(ranges=b"\x93NUMPY\x01\x00\x10\x00nonsense"), "header"),
-        "no_ranges.npz": (npz(angles=angles), "ranges: missing"),
+        "no_ranges.npz": (npz(angles=angles), "ranges: got angles.npy, expected ranges"),
         "no_angles.npz": (npz(ranges=ranges), "angles: missing"),
         "no_scans.npz": (but(ranges=ranges[:0]), "at least one"),
         "ranges_3d.npz": (but(ranges=ranges[None]), "ranges: got shape (1, 3, 5)"),

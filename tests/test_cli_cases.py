@@ -13,10 +13,11 @@ from imgloc.io.images import encode_png, read_image
 
 def test_the_image_of_another_machine_has_another_ending_here(tmp_path: Path) -> None:
     (tmp_path / "map.png").write_bytes(encode_png(np.full((9, 9), 254, np.uint8)))
-    said = "image: /root/.ros/map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"
-    (tmp_path / "a.yaml").write_text(said)
-    run = call("map", "check", tmp_path / "a.yaml")
-    assert "; beside it there is map.png" in run.err
+    for name in ("map", "maps"):
+        said = f"image: /root/.ros/{name}.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"
+        (tmp_path / "a.yaml").write_text(said)
+        run = call("map", "check", tmp_path / "a.yaml")
+        assert "; beside it there is map.png" in run.err
 
 
 @pytest.mark.parametrize("image", [

@@ -105,9 +105,7 @@ def jumped(odom, _):
 
 
 def some_unknown(odom, _):
-    odom = odom.copy()
-    odom[10:15] = np.nan
-    return odom
+    return np.where((np.arange(len(odom)) // 50 == 1)[:, None], np.nan, odom)
 
 
 def repeated(scans: ScanSet) -> ScanSet:
@@ -184,7 +182,8 @@ def test_each_disturbance_is_named(shared: Path, tmp_path: Path, what: str, name
     file = tmp_path / "log.npz"
     imgloc.save_scans(file, case.change(recorded(shared, name)))
     beside = [shared / "data" / LOGS[name][1]] if case.on_map else []
-    assert case.code in codes(call("inspect", *beside, file, "--json", "--no-cache"))
+    found = codes(call("inspect", *beside, file, "--json", "--no-cache"))
+    assert {case.code} == set(found) & {case.code, "gap" if case.code == "odometry-part" else ""}
 
 
 def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> None:

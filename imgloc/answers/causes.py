@@ -123,7 +123,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "own-body": _warns("{count:,} rays, from ray {first} to ray {last}, always see something "
                        "{metres:.2f} m away: is it the robot itself? Raise range_min of the file, "
                        "or leave these rays out"),
-    "odometry-part": _warns("{count:,} scans have no odometry: track leaves them out"),
+    "odometry-part": _warns("{count:,} scans have no odometry within 1 s: track leaves them out"),
     "odometry-zero": _wrong("the odometry never moves, but the scans change: it was not recorded"),
     "odometry-units": _wrong("the odometry moves {fast:.4g} m{each}: are these millimetres or "
                              "centimetres? Write metres"),

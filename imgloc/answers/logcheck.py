@@ -114,7 +114,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     if path is not None and known.sum() > 1:
         some = scans.take(np.flatnonzero(known).tolist())
         path = np.asarray(path[known])
-        _about_gaps(some, path, times, findings)
+        _about_gaps(some, path, times, findings, np.flatnonzero(known).tolist())
         if "odometry-zero" not in {f.code for f in findings} or path[:, :2].any():
             facts["agreement"] = _about_motion(some, path, findings, given)
             facts["straightened"] = straightening(some, path)
@@ -378,9 +378,13 @@ def _changes(scans: ScanSet) -> bool:
 
 
 def _about_gaps(
-    scans: ScanSet, path: FloatArray, times: Mapping[str, Any] | None, findings: list[Cause]
-) -> None:
-    """Steps of the path that are too long: the log has a gap, or the odometry jumps."""
+    scans: ScanSet, path: FloatArray, times: Mapping[str, Any] | None, findings: list[Cause],
+    at: Sequence[int],
+) -> None:  # fmt: skip
+    """Steps of the path that are too long: the log has a gap, or the odometry jumps.
+
+    `at` (N,) are the indices of these scans in the log.
+    """
     steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
     usual = float(np.sort(steps)[-1 - min(len(steps) - 1, max(2, len(steps) // 100))])
     moving = float(np.median(steps[steps > _STANDS])) if (steps > _STANDS).any() else 0.0
@@ -399,14 +403,14 @@ def _about_gaps(
         _add(findings, "odometry-units", fast=fast, each="/s" if times else " from scan to scan")
         return
     paused = waited > max(_SECONDS, _TIMES * usually) if times else np.zeros(len(steps), bool)
-    if (gaps := np.flatnonzero(paused & (steps > _METRES))).size:
+    if (gaps := np.flatnonzero(paused & (steps > _METRES) & (np.diff(at) == 1))).size:
         j = int(gaps[waited[gaps].argmax()])
-        _add(findings, "gap", seconds=waited[j], scan=j, metres=steps[j])
+        _add(findings, "gap", seconds=waited[j], scan=at[j], metres=steps[j])
     k = int(np.where(paused, 0.0, steps).argmax())
     if times and steps[k] < usual * waited[k] / usually:
         return  # scans between were left out
     if steps[k] > max(_BEYOND * usual, _LEAP):
-        _add(findings, "jump", metres=steps[k], scan=k)
+        _add(findings, "jump", metres=steps[k], scan=at[k])
 
 
 def _about_motion(

@@ -108,8 +108,7 @@ def read_bag(
                 beside.take(connection.topic, message)
     if height is not None and entries and "angles" in entries[0][1]:
         check_seen([entry for _, entry in entries], height, f"{name}: {chosen}")
-    about = Recording(lasers, chosen, maps=maps)
-    return beside.scans(entries, laser, about, odom, bad)
+    return beside.scans(entries, laser, Recording(lasers, chosen, maps=maps), odom, bad)
 
 
 class Beside:
@@ -293,7 +292,7 @@ def _counts(bag: Any) -> list[tuple[tuple[str, str], int]]:
 def _choose(bag: Any, topic: str | None, name: str) -> str:
     """The topic asked for, else /scan, else the only one."""
     topics, clouds = _by_type(bag, LASER), _by_type(bag, _CLOUD)
-    if not topics or (topic is not None and any(_same(t, topic) for t in clouds)):
+    if not topics or (topic is not None and topic.strip("/") in {t.strip("/") for t in clouds}):
         topics = clouds
     if not topics:
         kinds = sorted({c.msgtype for c in bag.connections if c.msgcount})
@@ -309,17 +308,13 @@ def choose_topic(topics: Mapping[str, int], topic: str | None, name: str) -> str
     """
     there = _some([f"{t} ({n})" for t, n in topics.items()])
     if topic is not None:
-        match = [t for t in topics if _same(t, topic)]
+        match = [t for t in topics if t.strip("/") == topic.strip("/")]
         if not match:
             raise ScanError(f"{name}: no scans on {topic}; it has {there}")
         return match[0]
     if "/scan" not in topics and len(topics) > 1:
         raise ScanError(f"{name}: scans on several topics, pass `topic`, one of {there}")
     return "/scan" if "/scan" in topics else next(iter(topics))
-
-
-def _same(a: str, b: str) -> bool:
-    return a.strip("/") == b.strip("/")
 
 
 def _some(names: Sequence[str]) -> str:

@@ -1,6 +1,7 @@
 """Bytes from and onto disk: nothing hangs, nothing is half written, no file of others is lost."""
 
 import contextlib
+import difflib
 import os
 import secrets
 import stat
@@ -140,10 +141,12 @@ def is_file(path: PathLike) -> bool:
 
 
 def neighbour_hint(path: PathLike) -> str:
-    """Name the files of the same stem that do exist: the usual slip is the ending."""
+    """Name the files of the same stem, or nearly so: the usual slip is the ending, or a letter."""
     wanted = Path(path)
     with contextlib.suppress(OSError):
-        same = (p for p in wanted.parent.iterdir() if p.stem.lower() == wanted.stem.lower())
+        stem, files = wanted.stem.lower(), list(wanted.parent.iterdir())
+        near = difflib.get_close_matches(stem, [p.stem.lower() for p in files], cutoff=0.8)
+        same = (p for p in files if p.stem.lower() in {stem, *near})
         if there := sorted(display(p.name) for p in same if p.is_file()):
             return f"; beside it there is {', '.join(there[:3])}"
     return ""

@@ -21,7 +21,6 @@ _SPACING = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max
 FREE, OCCUPIED = 19.6, 65.0
 """Occupancies of a cell, per cent, up to which it is free and from which it is a wall: the
 thresholds that ROS's map_saver writes beside a map."""
-_PACE = "time_increment"
 _MOST = 100  # per cent
 _FAR = 1e9  # metres that a map lies from its frame
 _LONGEST = number("messages.longest")  # seconds of a sweep
@@ -59,7 +58,7 @@ def entry_of(message: Any, received: float) -> dict[str, Any]:
     if not entry["angle_increment"]:
         del entry["angle_increment"]
     ranges = np.asarray(field(message, "ranges"), dtype=np.float64)
-    pace = float(field(message, _PACE)) if has_field(message, _PACE) else 0.0
+    pace = float(field(message, "time_increment")) if has_field(message, "time_increment") else 0.0
     if 0 < pace * len(ranges) <= _LONGEST:  # some drivers write the time since the last scan
         entry["time_increment"] = pace
     return entry | {

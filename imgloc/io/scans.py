@@ -375,6 +375,8 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
                 value = np.frombuffer(file.read(), dtype)
             value = value.reshape(shape, order="F" if fortran else "C")
             arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
+        if "ranges" not in arrays:
+            raise wrong(f"{name}: ranges", ", ".join(archive.namelist())[:200], "ranges among them")
     return arrays
 
 

@@ -406,8 +406,6 @@ def spread(count: int, fov: float) -> FloatArray:
 
 def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     """Check that the shapes agree, and cut the arrays into scans."""
-    if "ranges" not in arrays:
-        raise ScanError(f"{name}: ranges: missing, expected an array (scans, readings)")
     ranges = np.atleast_2d(arrays["ranges"])
     n = len(ranges)
     if not ranges.size:
@@ -415,11 +413,14 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     readings, angles = ranges.shape[1], arrays.get("angles")
     check_size(n, readings, name)
     if angles is None:
-        if not all(key in arrays and arrays[key].size == 1 for key in _STEPS):
-            expected = "angles in radians (or the numbers angle_min and angle_increment)"
+        if all(key in arrays and arrays[key].size == 1 for key in _STEPS):
+            first, step = (arrays[key].item() for key in _STEPS)
+            angles = first + np.arange(readings, dtype=np.float64) * step
+        elif (fov := _STATED.get().fov) is not None:
+            angles = spread(readings, fov)
+        else:
+            expected = "angles in radians (or the numbers angle_min and angle_increment), or `fov`"
             raise ScanError(f"{name}: angles: missing, expected {readings} {expected}")
-        first, step = (arrays[key].item() for key in _STEPS)
-        angles = first + np.arange(readings, dtype=np.float64) * step
     if angles.shape not in ((readings,), ranges.shape):
         expected = f"{(readings,)}: ranges are {n} scans of {readings} readings"
         raise wrong(f"{name}: angles", f"shape {angles.shape}", expected)
