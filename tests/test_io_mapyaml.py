@@ -80,7 +80,9 @@ def test_thresholds_are_occupancies(key: str) -> None:
 
 
 def test_unknown_keys_are_kept_for_the_map_check() -> None:
-    assert parse(YAML + "free_tresh: 0.2\nname: lab\n").unknown_keys == ("free_tresh", "name")
+    found = parse(YAML + "free_tresh: 0.2\nname: lab\n")
+    assert found.unknown_keys == ("free_tresh", "name")
+    assert found.slips == ["free_tresh"]  # warned of wherever the map is read
 
 
 def test_image_path_is_relative_to_the_yaml_or_absolute() -> None:

@@ -130,6 +130,8 @@ def load_map(
     settings = resolve_settings(named_map(local(path, MapError)), **reading)
     if said := other_frame(settings):
         _LOG.warning("%s: %s", display(settings.image), said)
+    for slip in settings.yaml.slips if settings.yaml else ():
+        _LOG.warning("%s: %s: not a key of map_server, ignored", display(path), slip)
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     grid = grid_of(image, settings)

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Container
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,11 @@ class MapYaml:
     occupied_thresh: float | None = None  #: an occupancy, 0..1, as the next
     free_thresh: float | None = None
     unknown_keys: tuple[str, ...] = ()  #: mean nothing here; often a slip of the pen
+
+    @property
+    def slips(self) -> list[str]:
+        """Unknown keys that are nearly a known one."""
+        return [k for k in self.unknown_keys if get_close_matches(k, _KEYS, cutoff=0.8)]
 
 
 def load_map_yaml(path: PathLike, given: Container[str] = ()) -> MapYaml:
