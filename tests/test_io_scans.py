@@ -347,8 +347,6 @@ def test_a_topic_is_of_logs_that_have_some(tmp_path):
     for read in (load_scans, scans_size):
         with pytest.raises(ScanError, match=r"a.npz: has one laser, expected no topic, got /scan"):
             read(path, topic="/scan")
-    with pytest.raises(ScanError, match=r"a.npz: has no clouds, expected no `height`"):
-        load_scans(path, height=(0.0, 1.0))
 
 
 def test_where_each_sensor_sits_is_a_row_or_not_known(tmp_path: Path) -> None:

@@ -114,9 +114,6 @@ def load_scans(
     how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
     path = local(path)
     kind, lasers = _kind(path, topic), lasers_of(topic or "")
-    if height is not None and kind not in (_BAG, _PCD):
-        hint = "a slice is of clouds of points, in a bag or a PCD; leave it out"
-        raise ScanError(f"{display(path)}: has no clouds, expected no `height`: {hint}")
     with stated(how, sensor):
         if len(lasers) < 2:
             return kind.read(path, how)
