@@ -121,15 +121,22 @@ def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
         assert one.best.theta == pytest.approx(sensor.theta, abs=0.05)
 
 
-@pytest.mark.parametrize(("view", "told"), [(180.0, True), (358.0, False)])
-def test_a_turn_confirms_a_place_as_far_as_it_shows_what_was_out_of_view(view, told) -> None:
+@pytest.mark.parametrize(("view", "behind", "told"), [(180, 0, 1), (358, 0, 0), (180, np.pi, 0)])
+def test_a_turn_confirms_a_place_as_far_as_it_shows_what_was_out_of_view(view, behind, told):
     x, y, _ = POSES["curved"]
     poses = np.array([[x, y, turn] for turn in np.linspace(0, np.pi, 10)])
     angles = np.deg2rad(np.arange(-view / 2, view / 2 + 0.1, 2.0))
-    ranges = simulate_ranges(
-        render(WORLDS["curved"](), 0.05), poses, angles, seed=2, range_max=30.0
-    )
-    scans = [LaserScan(r, angles, range_max=30.0, stamp=float(k)) for k, r in enumerate(ranges)]
+    # Each other scan is of a laser that looks backwards, if there is one.
+    mounts = np.array([[0.0, 0.0, behind * (k % 2)] for k in range(10)])
+    at = poses + mounts
+    ranges = simulate_ranges(render(WORLDS["curved"](), 0.05), at, angles, seed=2, range_max=30.0)
+    scans = [
+        LaserScan(
+            r, angles, range_max=30.0, stamp=float(k),
+            T_base_laser=Pose2D(*mount), laser=f"{mount[2]}",
+        )
+        for k, (r, mount) in enumerate(zip(ranges, mounts, strict=True))
+    ]  # fmt: skip
     turning = ScanSet(tuple(scans), poses, np.arange(10.0), poses)
     tracker = make_filter("tracker", features_of("curved"), Options())
     moments = list(follow(features_of("curved"), turning, tracker))

@@ -130,7 +130,7 @@ def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
     Notes
     -----
     The same to the bit as :func:`skimage.measure.find_contours` at 0.5 (``fully_connected="high"``,
-    ``positive_orientation="high"``), eight times as fast, and other threads run meanwhile.
+    ``positive_orientation="high"``), several times as fast, and other threads run meanwhile.
 
     Examples
     --------

@@ -235,8 +235,7 @@ class Tracker:
         self._gone = Way()
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._blinded = 0.0  # metres of that way until the last blind scan
-        # Radians out of the last scan's view, and radians turned at about the same place.
-        self._hidden, self._turned = 0.0, 0.0
+        self._turned = 0.0  # radians at about the same place
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._lasers = Lasers(self.options.shared.usual)
         self._scales = list[tuple[float, float]]()
@@ -294,7 +293,7 @@ class Tracker:
         # A turn counts as way as far as it shows what was out of view at this place.
         lever = self.how.fresh[0] / self.how.fresh[1]
         self._turned = max(0.0, self._turned - metres / lever)
-        shown = min(radians, max(0.0, self._hidden - self._turned))
+        shown = min(radians, max(0.0, self._lasers.hidden - self._turned))
         self._turned += radians
         self._way += (metres + lever * shown) * known
         self._since += metres
@@ -415,7 +414,6 @@ class Tracker:
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
         laser, view = self._lasers.of(scan), view_of(scan, self.options)
-        self._hidden = 2 * np.pi - float(np.ptp(view.readings.angles))
         new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None

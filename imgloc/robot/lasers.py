@@ -24,6 +24,7 @@ class Laser:
     usual: float = np.nan  #: running mean of the misfit, nats per reading
     last: float = np.nan  #: misfit of the last scan, nats per reading
     doubted: bool = False  #: whether the last misfit was much above the usual one
+    view: float = 0.0  #: radians between the outer rays of the last scan
 
     def expect(self, misfit: float) -> None:
         """Set the usual misfit, nats per reading, if no scan has set it yet."""
@@ -65,7 +66,13 @@ class Lasers:
             self._of[scan.laser] = Laser()
             if self._placed:
                 self._of[scan.laser].expect(self._expected)
+        self._of[scan.laser].view = float(np.ptp(scan.angles))
         return self._of[scan.laser]
+
+    @property
+    def hidden(self) -> float:
+        """Radians around the robot that no laser sees, if no two see the same."""
+        return max(0.0, 2 * np.pi - sum(laser.view for laser in self))
 
     @property
     def doubted(self) -> bool:
