@@ -8,6 +8,7 @@ those that ask whether the service runs are answered, the others are refused.
 
 import asyncio
 import socket
+from itertools import count
 from typing import Any
 
 import uvicorn
@@ -21,6 +22,7 @@ _ROOM = 8  # connections beyond the bound
 _FRESH = 0.01  # seconds that a client has at least until it has to make room
 _LOOK = 0.25  # seconds between two looks at all connections
 _PAUSE = 0.005
+_MANY = 64  # connections accepted at most until the loop has its turn
 _NEXT = 0.1  # seconds until the next request of a client that asks again before it has an answer
 
 
@@ -71,6 +73,16 @@ class _Connection(H11Protocol):
         self.transport.close()
 
 
+def has_gone(client: socket.socket) -> bool:
+    """Whether a client has closed its connection and has sent nothing."""
+    try:
+        return not client.recv(1, socket.MSG_PEEK)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+
+
 class Gate:
     """Accepts connections of a server, and closes those whose time is over.
 
@@ -88,11 +100,16 @@ class Gate:
 
     async def accept(self, one: socket.socket) -> None:
         """Accept who comes to a socket, for ever."""
-        while True:
+        for number in count():
             while len(self._there) >= self._bounds.connections + _ROOM:
                 await asyncio.sleep(0 if self.make_room() else _PAUSE)
             try:
                 client, _ = await self._loop.sock_accept(one)
+                if has_gone(client):  # a burst of these is not to hold up the next one
+                    client.close()
+                    if number % _MANY == 0:
+                        await asyncio.sleep(0)
+                    continue
                 await self._loop.connect_accepted_socket(self._made, client)
             except OSError:  # there is no descriptor, or the client has gone
                 await asyncio.sleep(_PAUSE)

@@ -9,6 +9,7 @@ import random
 import re
 import signal
 import socket
+import struct
 import subprocess
 import threading
 import time
@@ -28,6 +29,7 @@ from websockets.sync.client import connect
 import imgloc
 from imgloc.io.textscans import read_jsonl_line
 from imgloc.live.bounds import Bounds
+from imgloc.live.connections import has_gone
 from imgloc.model import LaserScan, Pose2D
 from imgloc.output.rows import scan_row
 
@@ -236,6 +238,27 @@ def test_a_burst_stays_within_the_bound(service: Served) -> None:
         for _ in range(5):
             assert healthy(service)
             assert descriptors(service) <= before + Bounds().connections + 10
+
+
+def test_who_has_gone_without_a_word_is_told_from_who_waits() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def accepted(act: Callable[[socket.socket], object]) -> bool:
+            with socket.create_connection(server.getsockname()) as there:
+                client, _ = server.accept()
+                client.setblocking(False)
+                act(there)
+                time.sleep(0.05)
+                with client:
+                    return has_gone(client)
+
+        assert not accepted(lambda there: None)
+        assert not accepted(lambda there: there.send(b"G"))
+        assert not accepted(lambda there: (there.send(b"G"), there.shutdown(socket.SHUT_WR)))
+        assert accepted(lambda there: there.shutdown(socket.SHUT_WR))
+        reset = struct.pack("ii", 1, 0)  # an end without a word is then a reset
+        linger = socket.SOL_SOCKET, socket.SO_LINGER, reset
+        assert accepted(lambda there: (there.setsockopt(*linger), there.close()))
 
 
 def test_a_burst_beyond_all_descriptors_says_nothing_and_ends() -> None:
