@@ -180,8 +180,8 @@ def find_modes(
 ) -> Modes:
     """Search a map for all poses that fit a scan, by the default method.
 
-    Endpoint correlation proposes poses. If none of them fits, GHT-V votes propose others, because
-    the two methods fail in different cases. A third score decides. Most proposals are dropped after
+    Endpoint correlation proposes poses. If none of them fits, it proposes others with parts of the
+    scan, because a cart or a crowd may hold most of the readings. Another score decides. Most proposals are dropped after
     a look with few readings. When the time budget of the `options` is spent, only the best poses so
     far are followed.
 
@@ -194,7 +194,7 @@ def find_modes(
     options : Options
         Prior, limits and time budget of the search.
     more : (M, 3) float array, optional
-        Proposals in place of those of votes, grid frame: metres, metres, radians.
+        Proposals in place of those of parts, grid frame: metres, metres, radians.
 
     Returns
     -------
@@ -227,12 +227,15 @@ def find_modes_by_steps(
     looked, score = look(features, proposals, few, options)
     yield
 
-    # If none of them fits, pairs of oriented points vote for others.
+    # If none of them fits, a thing may hold half of the readings: others propose without it.
     unfit = not len(looked) or score[0] < (options.model.best - fused.unfit) * len(few)
-    if unfit and more is None and time.monotonic() < end:
-        votes = propose_votes(features, scan, fused, prior, threads)
-        yield
-        looked, _ = look(features, votes, few, options, before=looked)
+    if unfit and more is None:
+        others = [np.empty((0, 3))]
+        for part in seen.parts():
+            if time.monotonic() < end:
+                others.append(propose(features, part.spread(fused.few_rays // 2), options, end))
+                yield
+        looked, _ = look(features, np.concatenate(others), few, options, before=looked)
         yield
     late = time.monotonic() >= end
     looked = looked[:_LAST] if late else looked
@@ -281,8 +284,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     """Search for all poses that fit a scan, and allow for errors that many readings share.
 
     If nothing fits well on a map that others drew, walls are taken for bent. Else it is tried
-    without readings that may end on the floor, with another scale or thinner walls, and with more
-    effort where little fits.
+    without readings that may end on the floor, and with another scale or thinner walls.
 
     Arguments and result are those of :func:`find_modes`, with what was found; `features` are of the
     uncorrected map. The time budget covers all searches together.
@@ -290,11 +292,10 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     fused, start = options.fused, time.monotonic()
 
     def find(
-        shared: Shared, floor: Floor | None = None, effort: FusedOptions = fused,
-        more: FloatArray | None = None,
-    ) -> Modes:  # fmt: skip
+        shared: Shared, floor: Floor | None = None, more: FloatArray | None = None
+    ) -> Modes:
         there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
-        left = options.left(time.monotonic() - start, shared=shared, fused=effort)
+        left = options.left(time.monotonic() - start, shared=shared)
         return replace(find_modes(there, seen, left, more=more), shared=shared, floor=floor)
 
     def again(*how: Any, **more: Any) -> Modes:
@@ -314,7 +315,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
             walls = drawn_walls(features, gain, options.shared)
             if walls != options.shared:
                 options = replace(options, shared=walls)
-                found = again(walls)
+                found = again(walls, more=found.places)
         for floor in floors(scan) if lacks(found) > max(fused.unfit, fused.strained) else ():
             if left_out(scan, floor).directions >= options.trust.readings:
                 without = again(options.shared, floor, more=np.empty((0, 3)))
@@ -326,16 +327,10 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
             shared = adapt(features, found.readings, found.places, found.shared, options)
             if shared == found.shared:
                 break
-            # What votes found for the same readings is among the places.
-            voted = found.places if shared.scale == found.shared.scale else None
-            adapted = again(shared, found.floor, more=voted)
+            adapted = again(shared, found.floor, more=found.places)
             if adapted.mean_score <= found.mean_score:
                 break
             found = adapted
-        some, hardly = fused.hopeless
-        if max(some, fused.strained) < lacks(found) <= hardly:
-            wider = again(options.shared, found.floor, fused.wider)
-            found = max(found, wider, key=lambda modes: modes.mean_score)
         return found
     except TimeoutError:
         return replace(found, complete=False)

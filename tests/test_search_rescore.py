@@ -158,7 +158,7 @@ def test_the_evidence_of_bent_walls_equals_the_loops(seed, bent):
 
 
 def displaced(distance, ranges, angles, model):
-    order, parts = pieces(ranges, angles)
+    order, parts, _ = pieces(ranges, angles)
     return piece_evidence(distance[:, order], parts, model).sum(axis=1)
 
 

@@ -140,7 +140,24 @@ class Readings:
 
     def spread(self, n: int) -> "Readings":
         """At most `n` of them, evenly spread over all."""
-        pick = evenly(len(self), n)
+        return self._select(evenly(len(self), n))
+
+    def parts(self) -> "tuple[Readings, Readings, Readings]":
+        """The half that is farther away, and the two halves of the view.
+
+        A thing that is not on the map, such as a cart or a crowd, hardly holds all three.
+
+        Examples
+        --------
+        >>> readings = Readings(np.array([1.0, 4.0, 3.0, 2.0]), np.array([0.0, 0.1, 0.2, 0.3]))
+        >>> [part.ranges.tolist() for part in readings.parts()]
+        [[4.0, 3.0], [1.0, 4.0], [3.0, 2.0]]
+        """
+        half, each = -(-len(self) // 2), np.arange(len(self))
+        far = np.sort(np.argsort(-self.ranges, kind="stable")[:half])
+        return self._select(far), self._select(each[:half]), self._select(each[half:])
+
+    def _select(self, pick: IntArray) -> "Readings":
         return Readings(self.ranges[pick], self.angles[pick])
 
 

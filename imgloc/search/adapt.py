@@ -82,7 +82,7 @@ def _pieces(
     there, straight = features.thinner(thinner), options.fused.model
     poses = refine(places, readings.xy, there.field, sigmas=_SIGMAS)
     poses = standing(poses, options.prior, there)
-    order, parts = pieces(readings.ranges, readings.angles)
+    order, parts, _ = pieces(readings.ranges, readings.angles)
     if not len(poses):
         return np.full((2, len(parts)), -np.inf)
     distance = endpoints(poses, readings.xy, there.field)[2][:, order]

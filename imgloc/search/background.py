@@ -14,7 +14,7 @@ from imgloc.features.scanpoints import Readings
 from imgloc.model import BoolArray, FloatArray
 from imgloc.numbers import number
 from imgloc.options import EvidenceModel
-from imgloc.search.rescore import hit_density, pieces, things_of_their_own
+from imgloc.search.rescore import by_things, hit_density, pieces, things_of_their_own
 
 # headings of the room that are tried; it looks the same after a quarter turn
 _HEADINGS = number("background.headings")
@@ -35,11 +35,12 @@ def unmapped_score(readings: Readings, model: EvidenceModel) -> float:
     model : EvidenceModel
         The density of a reading by its distance from a wall.
     """
-    order, parts = pieces(readings.ranges, readings.angles)
+    order, parts, goes_on = pieces(readings.ranges, readings.angles)
     told = np.add.reduceat(best_room(readings.xy, model)[order], parts)
-    if not model.bent:
-        told = np.logaddexp(told, things_of_their_own(parts, len(order), model))
-    return float(told.sum()) / len(order)
+    if model.bent:
+        return float(told.sum()) / len(order)
+    own = things_of_their_own(parts, len(order), model)
+    return float(by_things(told[None], own, goes_on)[0]) / len(order)
 
 
 def best_room(xy: FloatArray, model: EvidenceModel) -> FloatArray:

@@ -19,11 +19,14 @@ factor o. They share further errors, so a piece of n readings counts as n^a of t
 
 A changed shelf, a person, an open door is one thing that differs, however many readings fall on it.
 A wall that is drawn 10 cm off is one error. On any map a piece of the scan is what the map has
-there, or that displaced (the sum above), or a thing of its own. Its first reading pays for its
-place, and the others follow from it::
+there, or that displaced (the sum above), or a thing of its own::
 
     p'(piece | x) = p(piece | x) + exp(-displacement) p(displaced piece | x)
-                  + exp(n (best - apart) - price)
+    own(piece) = exp(n (best - apart) - price)
+
+The first reading of a thing pays for its place, and the others follow from it: where a surface goes
+on, the next piece of the same thing pays no price. All ways to share the pieces of a scan out are
+summed, piece after piece.
 
 The search looks for poses by readings. Which of them is the best, things decide.
 """
@@ -102,7 +105,7 @@ def score_poses(
     `poses` are in the grid frame, (C, 3): metres, metres, radians. A fourth column (C, 4) is a
     scale of the readings, a factor.
     """
-    order, parts = pieces(readings.ranges, readings.angles)
+    order, parts, goes_on = pieces(readings.ranges, readings.angles)
     log_likelihood, told, distance, shifted = _told(features, readings, poses, model)
     if not model.bent:
         displaced = replace(model, bent=_DISPLACED)
@@ -114,7 +117,7 @@ def score_poses(
     fits = some & (told > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     # On bent walls all pieces are displaced or gone already.
-    things = log_likelihood if model.bent else np.logaddexp(told, own).sum(axis=1)
+    things = log_likelihood if model.bent else by_things(told, own, goes_on)
     apart = some & (told < own)
     return Scores(log_likelihood, things, fits, apart, passing, on_surface, crossed)
 
@@ -124,7 +127,7 @@ def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ..
 
     They are not on the map, or pass through a wall of it. The largest come first.
     """
-    order, parts = pieces(readings.ranges, readings.angles)
+    order, parts, _ = pieces(readings.ranges, readings.angles)
     sizes = _sizes(parts, len(order))
     angle, far = (
         np.add.reduceat(each[order], parts) / sizes for each in (readings.angles, readings.ranges)
@@ -137,6 +140,16 @@ def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ..
         )
         for k in found[np.argsort(-sizes[found], kind="stable")]
     )  # fmt: skip
+
+
+def score_things(
+    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
+) -> FloatArray:
+    """Log-likelihoods (C,) by things, nats, but no piece of wall is displaced: for a first look."""
+    _, parts, goes_on = pieces(readings.ranges, readings.angles)
+    total, told, _, _ = _told(features, readings, poses, model)
+    own = things_of_their_own(parts, len(readings), model)
+    return total if model.bent else by_things(told, own, goes_on)
 
 
 def score_readings(
@@ -154,7 +167,7 @@ def _told(
     Then the distances (C, N) of the endpoints from a surface, metres, and the chance (C, N) that
     the wall that a reading passes is displaced.
     """
-    order, parts = pieces(readings.ranges, readings.angles)
+    order, parts, _ = pieces(readings.ranges, readings.angles)
     density, distance = _endpoint_density(features, readings, poses, model)
     shifted = _shifted(features, readings, poses, model)
     if model.bent:
@@ -163,6 +176,26 @@ def _told(
     each = _passing(density, shifted, model)
     total = np.asarray(each.sum(axis=1, dtype=np.float64))
     return total, _sums(each[:, order], parts), distance, shifted
+
+
+def by_things(told: FloatArray, own: FloatArray, goes_on: BoolArray) -> FloatArray:
+    """Log-likelihood (C,) of scans cut into pieces, each of the map or of a thing of its own, nats.
+
+    `told` (C, P) has the log-densities of the pieces on the map, `own` (P,) those of things of
+    their own, and `goes_on` (P,) is of :func:`pieces`.
+
+    Examples
+    --------
+    >>> told, own = np.full((1, 3), -90.0), np.full(3, -_PRICE)
+    >>> [round(by_things(told, own, np.array([False, on, on]))[0] / _PRICE) for on in (False, True)]
+    [-3, -1]
+    """
+    mapped, thing = told[:, 0], np.full(len(told), own[0])
+    for k in range(1, len(own)):
+        either = np.logaddexp(mapped, thing)
+        follows = np.logaddexp(either, thing + _PRICE) if goes_on[k] else either
+        mapped, thing = either + told[:, k], follows + own[k]
+    return np.asarray(np.logaddexp(mapped, thing))
 
 
 def things_of_their_own(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:
@@ -239,16 +272,18 @@ def _bent_pieces(
     return np.asarray(piece_evidence(distance, parts, model) + np.log(kept))
 
 
-def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray]:
+def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
     """Cut readings (N,), metres and radians, into pieces of wall.
 
-    Returns the order (N,) of the readings by their angles, and where in it each piece begins, (P,).
+    Returns the order (N,) of the readings by their angles, where in it each piece begins, (P,), and
+    whether it goes on with the surface of the piece before, (P,).
     """
     angle, jump = _PIECE
     order = np.argsort(angles, kind="stable")
     turned, far = angles[order], np.abs(np.diff(ranges[order])) > jump
     wide = np.diff(np.floor((turned - turned[0]) / angle)) > 0
-    return order, np.flatnonzero(np.append(True, far | wide))
+    parts = np.flatnonzero(np.append(True, far | wide))
+    return order, parts, ~np.append(True, far)[parts]
 
 
 def piece_evidence(distance: Float32Array, parts: IntArray, model: EvidenceModel) -> FloatArray:
@@ -286,7 +321,7 @@ def shortlist(
     ends = np.log(density).sum(axis=1, dtype=np.float64)
     order = np.argsort(-ends, kind="stable")
     poses = poses[np.sort(order[first_in_cell(poses[order], *fused.same)])]
-    score = score_readings(features, readings, poses, model)
+    score = score_things(features, readings, poses, model)
     # Of places that are as good as the best one none is left out, else their masses are chance.
     equal = int(np.count_nonzero(score >= score.max(initial=-np.inf) - _EQUAL))
     places = max(fused.second_look, min(equal, _EQUALS))
