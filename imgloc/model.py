@@ -262,8 +262,9 @@ class LaserScan(ByContent):
         >>> LaserScan([1.0, 1.1, 2.0, 3.0], [0.0, 0.0, 2 * np.pi, 1.0]).directions
         2
         """
-        turns = np.rint(1000 * self.angles[self.valid] % (2000 * np.pi))
-        return len(np.unique(turns % np.rint(2000 * np.pi)))
+        turns = np.rint(1000 * self.angles[self.valid] % (2000 * np.pi)) % np.rint(2000 * np.pi)
+        # np.unique would import masked arrays, which takes 12 ms.
+        return int(np.count_nonzero(np.diff(np.sort(turns), prepend=-1.0)))
 
     @property
     def no_return(self) -> BoolArray:

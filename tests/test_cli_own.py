@@ -1,14 +1,12 @@
 """Files that imgloc writes and reads again, when somebody else has had them: by the command."""
 
 import csv
-import io
 import json
 import os
 import shutil
 import subprocess
 import time
 import tracemalloc
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -398,21 +396,10 @@ def test_an_index_is_not_inflated(folder: Path) -> None:
     assert index.stat().st_size < 1 << 20
     tracemalloc.start()
     words = ["which", folder / "maps", folder / "scans.npz", "--maps-index", index]
-    refused("index.npz: is no index of maps (it is compressed)", *words)
+    refused("index.npz: is no index of maps (the magic string is not correct", *words)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1 << 25
-
-
-def test_members_of_an_archive_that_lie_over_one_another_are_not_read_twice(folder: Path) -> None:
-    index = build(folder)
-    data = io.BytesIO(index.read_bytes())
-    with zipfile.ZipFile(data, "a") as archive:
-        archive.filelist += archive.filelist * 9
-        archive._didModify = True
-    index.write_bytes(data.getvalue())
-    words = ["which", folder / "maps", folder / "scans.npz", "--maps-index", index]
-    refused("its header claims arrays larger than the file", *words)
 
 
 # The journal of an atlas.

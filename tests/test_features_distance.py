@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from skimage.morphology import thin
 
-from imgloc.features.distance import FARTHEST, SLOPE, UNIT, distance_field, signed_distance
+from imgloc.features.distance import (
+    FARTHEST,
+    SLOPE,
+    UNIT,
+    distance_field,
+    distance_image,
+    peeled,
+    signed_distance,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -145,10 +154,29 @@ def test_off_the_map_is_far_and_flat(x, y):
     assert inside[0] < 0
 
 
+@given(seeds, st.integers(1, 14), st.integers(1, 14))
+@settings(max_examples=60)
+def test_a_layer_is_peeled_as_scikit_image_does_it(seed, height, width):
+    rng = np.random.default_rng(seed)
+    walls = rng.random((height, width)) < rng.random()
+    walls |= np.roll(walls, 1, axis=0) & (rng.random() < 0.5)  # thick ones, too
+    np.testing.assert_array_equal(peeled(walls), thin(walls.copy(), max_num_iter=1))
+
+
+@given(seeds, st.sampled_from([0.02, 0.3, 0.9]))
+@settings(max_examples=20)
+def test_distances_that_are_there_already_change_nothing(seed, share):
+    walls = np.random.default_rng(seed).random((30, 40)) < share
+    fresh, kept = (distance_field(walls, 0.1, given) for given in (None, distance_image(walls)))
+    np.testing.assert_array_equal(fresh.table, kept.table)
+
+
 def test_rows_of_the_table_are_the_cells_in_order():
     field = distance_field(np.eye(3, 4, dtype=bool), 0.5)
-    x, y = np.array([0.0, 3.99, 0.5, 4.0, np.nan]), np.array([0.0, 2.99, 1.0, 1.0, 1.0])
-    assert field.index(x.astype(np.float32), y.astype(np.float32)).tolist() == [0, 11, 4, 12, 12]
+    x, y = np.array([0.25, 1.75, 0.25, 2.0]), np.array([0.25, 1.25, 0.75, 0.75])  # centres, off
+    found = np.stack(field.lookup(x, y), axis=1) / [UNIT, SLOPE, SLOPE]
+    np.testing.assert_allclose(found, field.table[[0, 11, 4, 12], :3], rtol=1e-6)
+    assert [v.item() for v in field.lookup(np.nan, 1.0)[1:]] == [0, 0]
     assert field.table.shape == (13, 4)
     assert [v.item() for v in field.lookup(1e30, -1e30)] == [FARTHEST, 0, 0]
     exact = signed_distance(np.eye(3, 4, dtype=bool), 0.5)

@@ -33,13 +33,7 @@ def grid() -> OccupancyGrid:
 
 @pytest.fixture(scope="module")
 def arrays(grid: OccupancyGrid) -> dict:
-    return features_to_arrays(peeled(grid), KEPT)
-
-
-def peeled(grid: OccupancyGrid) -> MapFeatures:
-    features = MapFeatures(grid, **PARAMETERS)
-    features.thinner(2)
-    return features
+    return features_to_arrays(MapFeatures(grid, **PARAMETERS), KEPT)
 
 
 def leaves(value: object) -> list[np.ndarray]:
@@ -58,7 +52,8 @@ def leaves(value: object) -> list[np.ndarray]:
 
 
 def test_every_feature_comes_back(grid: OccupancyGrid, arrays: dict) -> None:
-    fresh, back = peeled(grid), features_from_arrays(grid, arrays, PARAMETERS)
+    fresh = MapFeatures(grid, **PARAMETERS)
+    back = features_from_arrays(grid, arrays, PARAMETERS)
     for name in KEPT:
         assert name in vars(back)  # nothing is computed
         for a, b in zip(leaves(getattr(fresh, name)), leaves(getattr(back, name)), strict=True):
@@ -95,35 +90,12 @@ def test_where_all_points_vote_their_visibility_is_kept_once(grid, monkeypatch) 
     assert back.voters_visibility is back.visibility
 
 
-def test_thinner_walls_come_back_without_peeling(grid: OccupancyGrid, monkeypatch) -> None:
-    fresh = MapFeatures(grid, **PARAMETERS)
-    walls = [fresh.thinner(n).grid for n in range(4)]
-    assert len({g.occupied.sum() for g in walls}) == 3  # the last are lines
-    kept = features_to_arrays(fresh)
-    assert kept.keys() == {"peeled.1", "peeled.2", "peeled.3"}
-    monkeypatch.setattr("skimage.morphology.thin", None)
-    back = features_from_arrays(grid, kept, PARAMETERS)
-    for n, before in enumerate(walls):
-        np.testing.assert_array_equal(back.thinner(n).grid.occupied, before.occupied)
-        np.testing.assert_array_equal(back.thinner(n).grid.free, before.free)
-    gap = {"peeled.2": kept["peeled.2"]}
-    with pytest.raises(ValueError, match="1: got nothing"):
-        features_from_arrays(grid, gap, PARAMETERS)
-
-
 def test_by_default_what_has_been_computed(grid: OccupancyGrid) -> None:
     features = MapFeatures(grid, **PARAMETERS)
     assert features_to_arrays(features) == {}
     _ = features.walls, features.bmap  # bmap needs the surface
     assert {name.split(".")[0] for name in features_to_arrays(features)} == {"walls", "surface"}
     assert "field" not in vars(features)
-
-
-def test_what_does_not_fit_is_left_out(grid: OccupancyGrid) -> None:
-    features = MapFeatures(grid, **PARAMETERS)
-    size = features.walls.nbytes
-    assert features_to_arrays(features, ["walls", "field"], max_bytes=size).keys() == {"walls"}
-    assert not features_to_arrays(features, ["walls", "field"], max_bytes=size - 1)
 
 
 def test_missing_features_are_computed(grid: OccupancyGrid, arrays: dict) -> None:

@@ -1,6 +1,7 @@
 """The map cache: keys that tell things apart, whole entries, and no trust in what is read."""
 
 import logging
+import mmap
 import os
 import subprocess
 import sys
@@ -80,6 +81,34 @@ def test_what_is_stored_comes_back_read_only(tmp_path: Path) -> None:
         assert back[name].dtype == array.dtype
         assert not back[name].flags.writeable
     assert [p.name for p in folder.iterdir()] == [f"{KEY}.npz"]
+
+
+def test_arrays_are_mapped_and_aligned(tmp_path: Path) -> None:
+    arrays = {"a": np.arange(7, dtype=np.uint8), "b.c": np.ones((300, 50), np.int16), **ARRAYS}
+    store_entry(tmp_path, KEY, arrays)
+    back = load_entry(tmp_path, KEY)
+    assert back is not None
+    for name in arrays:
+        assert back[name].ctypes.data % 64 == 0
+        base = back[name]
+        while isinstance(base, np.ndarray):
+            base = base.base
+        assert os.name == "nt" or isinstance(memoryview(base).obj, mmap.mmap)
+    with np.load(entry_path(tmp_path, KEY)) as archive:  # it is an archive of arrays still
+        np.testing.assert_array_equal(archive["b.c"], arrays["b.c"])
+    entry_path(tmp_path, KEY).unlink()  # by another process, while this one uses them
+    assert back["b.c"].sum() == 15_000
+
+
+@pytest.mark.parametrize("swap", [8, 4096, 5000])
+def test_every_damage_to_an_array_is_noticed(tmp_path: Path, swap: int) -> None:
+    store_entry(tmp_path, KEY, {"a": np.arange(30_000, dtype=np.uint32)})
+    path = entry_path(tmp_path, KEY)
+    data = path.read_bytes()
+    at = len(data) // 2
+    torn = data[:at] + data[at + swap : at + 2 * swap] + data[at : at + swap]
+    path.write_bytes(torn + data[len(torn) :])
+    assert load_entry(tmp_path, KEY) is None
 
 
 def test_transposed_arrays_come_back_equal(tmp_path: Path) -> None:
@@ -248,7 +277,7 @@ def test_cache_folder_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
 # ---- limit, orphans, clearing --------------------------------------------------------------
 
 ONE = {"a": np.zeros(10_000, np.uint8)}
-SIZE = 10_700  # bytes of its entry, at most
+SIZE = 10_800  # bytes of its entry, at most
 
 
 def keys(count: int) -> list[str]:

@@ -4,6 +4,7 @@
     python -m tools.bench --problem ../problem   # on maps A and B, beside a search in C
     python -m tools.bench --parts localize,command --sets ../data/*/map.yaml   # on recorded scans
     python -m tools.bench --parts huge           # a map of 10,000 x 10,000 cells
+    python -m tools.bench --parts localize,command --cells 4000   # on a map of so many a side
 
 Prints Markdown: medians over the repeats with their spread. Compare ratios, not times, between
 machines.
@@ -74,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--range-max", type=float, default=20.0, help="metres, of their scans")
     first = ",".join(PARTS[:2])
     add("--parts", default=first, help=f"of {', '.join(PARTS)}, commas between (default: {first})")
+    add("--cells", type=int, help="along a side of the map, and of the one of `huge`")
     add("--repeats", type=int, default=5)
     add("--threads", type=int, default=os.cpu_count() or 1)
     add("--scans", type=int, default=50, help="answers of localize")
@@ -101,7 +103,7 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
             "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
         }
     }  # fmt: skip
-    maps = _maps(problem, given.scans)
+    maps = _maps(problem, given.scans, given.cells)
     recorded = recorded_sets(given.sets, given.scans, 0, given.range_max)
     if "costs" in parts:
         name, (grid, told) = next(iter(maps.items()))
@@ -132,13 +134,19 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
         everything = (*((name, *of) for name, of in maps.items()), *recorded)
         out["command"] = {name: command_times(g, told, repeats) for name, g, told in everything}
     if "huge" in parts:
-        code = f"from tools.bench import HUGE, huge_map; huge_map(HUGE, {given.scans})"
+        cells = given.cells or HUGE
+        code = f"from tools.bench import huge_map; huge_map({cells}, {given.scans})"
         done = subprocess.run((sys.executable, "-c", code), check=True, capture_output=True)  # noqa: S603
-        out["huge"] = {f"{HUGE} x {HUGE}": json.loads(done.stdout)}
+        out["huge"] = {f"{cells} x {cells}": json.loads(done.stdout)}
     return out
 
 
-def _maps(problem: Path | None, count: int) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
+def _maps(
+    problem: Path | None, count: int, cells: int | None
+) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
+    if cells is not None:
+        grid = tiled(render(WORLDS["large"](), 0.05), cells)
+        return {f"{cells} x {cells}": (grid, simulate(grid, count, 0, Sensor(range_max=20.0)))}
     if problem is None:
         grid = render(WORLDS["large"](), 0.1)
         return {"large": (grid, simulate(grid, count, 0, Sensor(range_max=10.0)))}
@@ -188,11 +196,11 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
         ),
     ),
     "command": (
-        "command on | help, s | localize --help, s | localize, s | a scan of batch, ms | "
-        "one worker / two, of the processor",
+        "command on | help, s | localize --help, s | localize, s | a scan of another building, s | "
+        "a scan of batch, ms | one worker / two, of the processor",
         lambda r: (
             r["name"], f"{r['help']:.2f}", f"{r['localize_help']:.2f}", f"{r['localize']:.2f}",
-            f"{r['item_ms']:.0f}", f"{r['one_over_two']:.2f}",
+            f"{r['other']:.2f}", f"{r['item_ms']:.0f}", f"{r['one_over_two']:.2f}",
         ),
     ),
     "huge": (
@@ -307,6 +315,8 @@ def answer_summary(ms: Sequence[float], prepare_s: float) -> dict[str, float]:
 def command_times(grid: OccupancyGrid, scans: ScanSet, repeats: int) -> dict[str, float]:
     """Seconds of the processor that the command takes from a warm cache: of `repeats` the least.
 
+    `other` is a scan of another building.
+
     Also milliseconds for each scan of a batch with one worker, start and end left out, and how many
     times the processor's time of two workers goes into that of one: half of what two processors of
     their own would gain.
@@ -326,15 +336,18 @@ def command_times(grid: OccupancyGrid, scans: ScanSet, repeats: int) -> dict[str
     bare = replace(scans, poses=None, odom=None)
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        path, one, many = folder / "map.yaml", folder / "one.npz", folder / "many"
+        path, one, other = folder / "map.yaml", folder / "one.npz", folder / "other.npz"
+        many, elsewhere = folder / "many", render(WORLDS["curved"](), 0.05)
         save_map(path, grid)
         save_scans(one, replace(bare, scans=scans.scans[:1]))
+        save_scans(other, ScanSet(simulate(elsewhere, 1, 0, Sensor(range_max=20.0)).scans))
         many.mkdir()
         for k, scan in enumerate(scans.scans):
             save_scans(many / f"{k:04d}.npz", replace(bare, scans=(scan,)))
         cases: dict[str, tuple[str | Path, ...]] = {
             "help": ("--help",), "localize_help": ("localize", "--help"),
             "localize": ("localize", path, one, "--json"),
+            "other": ("localize", path, other, "--json"),
             "one": ("batch", path, many, "--workers", "1", "--out"),
             "two": ("batch", path, many, "--workers", "2", "--out"),
         }  # fmt: skip

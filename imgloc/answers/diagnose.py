@@ -16,16 +16,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import looks_drawn, looks_swapped
 from imgloc.io.scanset import ScanSet
-from imgloc.model import (
-    SURE,
-    Evidence,
-    LaserScan,
-    Localization,
-    Pose2D,
-    base_of,
-    compose,
-    inverse,
-)
+from imgloc.model import SURE, Evidence, LaserScan, Localization, Pose2D, base_of, compose, inverse
 from imgloc.numbers import number
 from imgloc.options import Options, Prior, Shared, Trust
 from imgloc.pipeline import localize
@@ -162,12 +153,16 @@ class _Trial:
         """
         # Votes find a few places more where nothing fits, which takes longer than all the rest.
         quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
-        quick = replace(quick, prior=quick.prior if prior is None else prior)
-        quick = replace(quick, shared=quick.shared if shared is None else shared)
+        quick = replace(quick, prior=prior or quick.prior, shared=shared or quick.shared)
+        once = replace(quick, fused=replace(quick.fused, strained=np.inf))
         found = list[Localization]()
         for k in self.tried:
             scan = self.scans[k] if change is None else change(self.scans[k])
-            found.append(localize(self.features, scan, quick))
+            found.append(localize(self.features, scan, once if shared is None else quick))
+            # Most trials are in vain, and searches again for what fits badly take the longest.
+            lacks = found[-1].evidence.misfit - self.options.shared.usual
+            if shared is None and quick.fused.strained < lacks <= self.misfit:
+                found[-1] = localize(self.features, scan, quick)
             if found[-1].verdict != "unique" and not most:
                 return []
         return found if 2 * sum(a.verdict == "unique" for a in found) > len(found) else []

@@ -27,7 +27,7 @@ from imgloc.features.scanpoints import one_per_place
 from imgloc.features.store import code_digest
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display, reason, write_bytes_atomic
-from imgloc.io.own import open_arrays, parse_json
+from imgloc.io.own import map_arrays, parse_json, write_arrays
 from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options
@@ -37,7 +37,7 @@ LEVEL = number("folder_index.level")
 """Level of the pyramid in the index: its cells are four times as large as those of the poses."""
 # Readings of a scan: many, because a map that is dropped here is not looked at again.
 _READINGS = number("folder_index.readings")
-_FORMAT = "imgloc index of maps, 1"
+_FORMAT = "imgloc index of maps, 2"
 _YOUNG = 2_000_000_000  # ns before the index was written; a younger file may change unnoticed
 _LIMIT = 1 << 36  # most bytes of a file
 _STAMP = [str, (int, None), (int, None)]
@@ -198,7 +198,7 @@ def _save(
     free = np.concatenate([level.free.ravel() for level in levels] or nothing)
     head = np.frombuffer(json.dumps(about).encode(), np.uint8)
     buffer = io.BytesIO()
-    np.savez(buffer, about=head, images=images, free=np.packbits(free.astype(bool)))
+    write_arrays(buffer, {"about": head, "images": images, "free": free.astype(bool)})
     write_bytes_atomic(file, buffer.getvalue(), force=True)
 
 
@@ -209,27 +209,26 @@ def _load(file: Path, memory_budget: int | None) -> _Kept:
         return kept
     name = display(file)
     try:
-        with open_arrays(file, limit=_LIMIT, what="map index") as (archive, size):
-            check_budget(_BESIDE * size, memory_budget, f"{name}: an index", "look at fewer maps")
-            about = parse_json(archive["about"].tobytes(), _ABOUT)
-            if about["format"].rpartition(",")[0] != _FORMAT.rpartition(",")[0]:
-                raise ValueError("of another kind")
-            if (about["format"], about["code"]) != (_FORMAT, code_digest()):
-                LOG.info("%s: made by another version, built anew", name)
-                return kept
-            images, packed, at = archive["images"], archive["free"], 0
-            if images.dtype != np.uint8 or packed.shape != (-(-images.size // 8),):
-                raise ValueError("images and free cells of other sizes")
-            free = np.unpackbits(packed).view(bool)
-            for digest, height, width, resolution, turn in about["levels"]:
-                if not (min(height, width, resolution) > 0 and at + height * width <= images.size):
-                    raise ValueError("levels of other sizes")
-                part, shape = slice(at, at + height * width), (height, width)
-                level = Level(images[part].reshape(shape), free[part].reshape(shape), resolution)
-                kept.entries[digest] = level, turn
-                at += height * width
-            kept.seen, kept.written = about["maps"], about["written"]
+        arrays, size = map_arrays(file, limit=_LIMIT, what="map index")
+        check_budget(_BESIDE * size, memory_budget, f"{name}: an index", "look at fewer maps")
+        about = parse_json(arrays["about"].tobytes(), _ABOUT)
+        if about["format"].rpartition(",")[0] != _FORMAT.rpartition(",")[0]:
+            raise ValueError("of another kind")
+        if (about["format"], about["code"]) != (_FORMAT, code_digest()):
+            LOG.info("%s: made by another version, built anew", name)
             return kept
+        images, free, at = arrays["images"], arrays["free"], 0
+        if images.dtype != np.uint8 or free.dtype != np.bool_ or free.shape != images.shape:
+            raise ValueError("images and free cells of other sizes")
+        for digest, height, width, resolution, turn in about["levels"]:
+            if not (min(height, width, resolution) > 0 and at + height * width <= images.size):
+                raise ValueError("levels of other sizes")
+            part, shape = slice(at, at + height * width), (height, width)
+            level = Level(images[part].reshape(shape), free[part].reshape(shape), resolution)
+            kept.entries[digest] = level, turn
+            at += height * width
+        kept.seen, kept.written = about["maps"], about["written"]
+        return kept
     except ImglocError:  # the file cannot be read, or is too large: its contents are not at fault
         raise
     except Exception as e:  # a damaged file can raise anything

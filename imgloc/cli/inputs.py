@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imgloc.choice.choose import names_of
 from imgloc.cli.console import LOG, progress
 from imgloc.cli.options import Kept, MapImages
 from imgloc.doors import behind
@@ -51,6 +50,8 @@ def map_files(reading: MapImages, *, many: bool = False) -> MapFiles:
 
 def maps_in(folder: Path, reading: MapImages) -> dict[str, Path]:
     """The maps of a folder tree by their names; with a resolution images without a YAML, too."""
+    from imgloc.choice.choose import names_of
+
     found = find_maps(folder, images=reading.get("resolution") is not None)
     return dict(zip(names_of(found, folder), found, strict=True))
 

@@ -162,8 +162,8 @@ def fused_bytes(
     endpoint correlation; the rest is of :class:`imgloc.options.FusedOptions`.
     """
     cells = shape[0] * shape[1]
-    # The coarsest level takes every second heading, some at a time.
-    coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))
+    # The coarsest level takes every third heading, some at a time.
+    coarse = min(n_thetas // 3 * cells // 16, max(1 << 22, cells // 16))
     votes = min(vote_cells, vote_headings * cells * resolution**2 / vote_cell**2)
     # Beside the votes: the finest level in a margin as wide as the map, for readings that long.
     return int(12 * coarse + _POSE * votes + 10 * cells) + _FIXED

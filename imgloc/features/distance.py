@@ -83,6 +83,32 @@ def wall_thickness(distance: Float32Array) -> float:
     return float(np.median(walls)) if len(walls) else 0.0
 
 
+def peeled(occupied: BoolArray) -> BoolArray:
+    """Take a layer of cells off the walls of a map, (H, W) bool; lines of one cell stay.
+
+    A step of Guo & Hall (1989), as :func:`skimage.morphology.thin` takes it, but at the cells of
+    walls alone, which are few.
+
+    Examples
+    --------
+    >>> peeled(np.ones((3, 5), bool)).astype(int).tolist()
+    [[0, 0, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 0, 0]]
+    """
+    walls, width = np.pad(occupied, 1), occupied.shape[1] + 2
+    line = walls.reshape(-1)
+    cells = np.flatnonzero(line)
+    around = (1, 1 - width, -width, -width - 1, -1, width - 1, width, width + 1)
+    for turned in (around, around[4:] + around[:4]):
+        on = [line.take(cells + step) for step in turned]
+        pairs = [on[k] | on[k - 1] for k in range(8)]
+        runs = np.sum([pairs[k] & ~on[k - 2] for k in range(0, 8, 2)], axis=0)
+        few = np.minimum(np.sum(pairs[::2], axis=0), np.sum(pairs[1::2], axis=0))
+        stays = (runs != 1) | (few < 2) | (few > 3) | (on[0] & (on[1] | on[2] | ~on[7]))
+        line[cells[~stays]] = False
+        cells = cells[stays]
+    return walls[1:-1, 1:-1]
+
+
 @dataclass(frozen=True, eq=False)
 class DistanceField:
     """Signed distance and its gradient, one 8-byte row per cell, for lookups by the million."""
@@ -93,16 +119,6 @@ class DistanceField:
     height: int  #: rows and columns
     width: int
     resolution: float  #: side of a cell, metres
-
-    def index(self, column: Float32Array, row: Float32Array) -> npt.NDArray[np.int32]:
-        """Rows of `table` for cells, whole numbers; the last row for cells off the map."""
-        last = np.int32(self.height * self.width)
-        with np.errstate(invalid="ignore", over="ignore"):  # of what is off the map anyway
-            c, r = column.astype(np.int32), row.astype(np.int32)
-            # As unsigned numbers those below 0 are beyond the map, too.
-            inside = (c.view(np.uint32) < self.width) & (r.view(np.uint32) < self.height)
-            # np.where would take as long as all the rest.
-            return np.asarray((r * np.int32(self.width) + c - last) * inside + last)
 
     def lookup(
         self, x: npt.ArrayLike, y: npt.ArrayLike
@@ -121,7 +137,14 @@ class DistanceField:
         u = np.asarray(x, dtype=np.float32) / np.float32(self.resolution)
         v = np.asarray(y, dtype=np.float32) / np.float32(self.resolution)
         column, row = np.floor(u), np.floor(v)
-        rows = self.table.take(self.index(column, row).astype(np.intp), axis=0)
+        last = np.int32(self.height * self.width)
+        with np.errstate(invalid="ignore", over="ignore"):  # of what is off the map anyway
+            c, r = column.astype(np.int32), row.astype(np.int32)
+            # As unsigned numbers those below 0 are beyond the map, too.
+            inside = (c.view(np.uint32) < self.width) & (r.view(np.uint32) < self.height)
+            # np.where would take as long as all the rest.
+            index = (r * np.int32(self.width) + c - last) * inside + last
+        rows = self.table.take(index.astype(np.intp), axis=0)
         gx = rows[..., 1] * np.float32(SLOPE)
         gy = rows[..., 2] * np.float32(SLOPE)
         u -= column
@@ -133,19 +156,27 @@ class DistanceField:
         return off, gx, gy
 
     @property
+    def steps(self) -> npt.NDArray[np.int16]:
+        """Distance at the centres of all cells, (H, W), in units of :data:`UNIT`."""
+        return self.table[:-1, 0].reshape(self.height, self.width)
+
+    @property
     def distance(self) -> Float32Array:
         """Distance at the centres of all cells, (H, W) float32 metres."""
-        cells = self.table[:-1, 0].reshape(self.height, self.width)
-        return np.asarray(cells * np.float32(UNIT))
+        return np.asarray(self.steps * np.float32(UNIT))
 
 
-def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
+def signed_distance(
+    occupied: BoolArray, resolution: float, walls: Float32Array | None = None
+) -> Float32Array:
     """Distance from every cell centre to the surface of the nearest wall.
 
     Parameters
     ----------
     occupied, resolution : (H, W) bool array, float
         Row 0 is the lowest y, beyond the border nothing is occupied; side of a cell, metres.
+    walls : (H, W) float32 array, optional
+        The :func:`distance_image` of the map, cells, if it is there already.
 
     Returns
     -------
@@ -163,18 +194,23 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
     >>> signed_distance(np.array([[False, True, True, True]]), 1.0).tolist()
     [[0.5, -0.5, -0.5, -0.5]]
     """
-    wall = np.pad(occupied, 1).astype(np.uint8)
     if not occupied.any():
         return np.full(occupied.shape, FARTHEST, dtype=np.float32)
-    outside, inside = distance_transform(1 - wall), distance_transform(wall)
+    outside = distance_image(occupied) if walls is None else walls
+    wall = np.pad(occupied, 1).astype(np.uint8)
+    # Walls of one or two cells are one cell deep everywhere.
+    thick = cv2.erode(wall, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))).any()
+    inside = distance_transform(wall) if thick else wall
     # One of the two is 0 everywhere; the border lies half a cell before the other's centre.
-    cells = np.subtract(outside, inside, out=outside)
+    cells = outside - inside[1:-1, 1:-1]
     cells -= np.copysign(np.float32(0.5), cells)
     np.multiply(cells, np.float64(resolution), out=cells, casting="same_kind")
-    return np.asarray(np.clip(cells, -FARTHEST, FARTHEST, out=cells)[1:-1, 1:-1])
+    return np.asarray(np.clip(cells, -FARTHEST, FARTHEST, out=cells))
 
 
-def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
+def distance_field(
+    occupied: BoolArray, resolution: float, walls: Float32Array | None = None
+) -> DistanceField:
     """Prepare the lookups of :class:`DistanceField` for a map.
 
     The parameters are those of :func:`signed_distance`.
@@ -189,6 +225,7 @@ def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
     ([0.75, 0.25], [-1.0, -1.0])
     """
     height, width = occupied.shape
+    walls = distance_image(occupied) if walls is None else walls
     table = np.zeros((height * width + 1, 4), dtype=np.int16)
     cells = table[:-1].reshape(height, width, 4)
     # Rows farther than this change neither a distance up to FARTHEST nor its slope.
@@ -196,7 +233,7 @@ def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
     for top in range(0, height, _BAND):
         low, high = max(0, top - margin), min(height, top + _BAND + margin)
         here = slice(top - low, min(height, top + _BAND) - low)
-        distance = signed_distance(occupied[low:high], resolution)
+        distance = signed_distance(occupied[low:high], resolution, walls[low:high])
         rows = cells[top : top + _BAND]
         rows[..., 0] = np.rint(distance[here] / np.float32(UNIT))
         for column, order in ((1, (1, 0)), (2, (0, 1))):

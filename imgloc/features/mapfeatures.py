@@ -17,19 +17,16 @@ from imgloc.features.budget import (
     surface_count,
 )
 from imgloc.features.distance import (
+    UNIT,
     DistanceField,
     distance_field,
     distance_image,
+    peeled,
     wall_thickness,
 )
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.gradients import SOURCES, vmap_of_image
-from imgloc.features.pyramid import (
-    Level,
-    any_of_blocks,
-    coarse_info,
-    pyramid,
-)
+from imgloc.features.pyramid import Level, any_of_blocks, coarse_info, pyramid
 from imgloc.features.raydistance import ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, visibility_frames
@@ -39,6 +36,8 @@ from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, Orien
 VOTER_SPACING = 0.25
 #: A map with more cells keeps its walls as they are: each thinner copy has features of its own.
 PEELED_CELLS = 6_000_000
+#: A map with more cells has thinner copies made when an answer first needs them: 0.1 s each.
+AHEAD_CELLS = 2_000_000
 #: With more cells than this at four times `cell`, the search starts at eight times.
 COARSE_CELLS = 1 << 17
 
@@ -130,7 +129,7 @@ class MapFeatures:
     @cached_property
     def field(self) -> DistanceField:
         """Signed distance to the surfaces, at the map's own resolution."""
-        return distance_field(self.grid.occupied, self.grid.resolution)
+        return distance_field(self.grid.occupied, self.grid.resolution, self.walls)
 
     @cached_property
     def walls(self) -> Float32Array:
@@ -150,46 +149,35 @@ class MapFeatures:
     def thinner(self, cells: int) -> "MapFeatures":
         """Features of the same map with walls that lose so many cells on each side.
 
-        Lines of one cell stay (:func:`skimage.morphology.thin`); what was wall is free. They are
-        kept as long as these features.
+        Lines of one cell stay (:func:`~imgloc.features.distance.peeled`); what was wall is free.
+        They are kept as long as these features.
         """
         if cells == 0:
             return self
         if cells not in self._thinner:
-            before, occupied = self.thinner(cells - 1), self.grid.occupied
-            if cells not in self.peeled:
-                from skimage.morphology import thin  # half of all that imgloc would import
-
-                walls = before.grid.occupied.copy()  # scikit-image 0.24 writes to what it is given
-                self.peeled[cells] = np.packbits(thin(walls, max_num_iter=1))
-            bits = np.unpackbits(self.peeled[cells], count=occupied.size)
-            walls = bits.reshape(occupied.shape).view(np.bool_)
-            if np.array_equal(walls, before.grid.occupied):  # they are lines by now
-                self._thinner[cells] = before
-                return before
-            free = self.grid.free | (occupied & ~walls)
-            self._thinner[cells] = replace(self, grid=replace(self.grid, occupied=walls, free=free))
+            there = self.thinner(cells - 1)
+            walls = peeled(there.grid.occupied)
+            if not np.array_equal(walls, there.grid.occupied):  # else they are lines by now
+                free = self.grid.free | (self.grid.occupied & ~walls)
+                there = replace(self, grid=replace(self.grid, occupied=walls, free=free))
+            self._thinner[cells] = there
         return self._thinner[cells]
 
     @cached_property
     def _thinner(self) -> dict[int, "MapFeatures"]:
         return {}
 
-    @cached_property
-    def peeled(self) -> dict[int, npt.NDArray[np.uint8]]:
-        """The occupied cells of :meth:`thinner` walls so far, by cells; eight cells a byte."""
-        return {}
-
     def ready(self, thinnest: int = 0) -> "MapFeatures":
         """Compute now what the default method may use, and return these features.
 
-        That includes the same map with walls up to `thinnest` cells thinner. On a very large map
-        (see :attr:`peels`) only what each answer uses is computed.
+        That includes the same map with walls up to `thinnest` cells thinner, but of a small map
+        only. On a very large map (see :attr:`peels`) only what each answer uses is computed.
         """
         _ = self.field, self.walls, self.standable, self.free, self.pyramid
         if self.peels:
             _ = self.voters_visibility, self.thickness
-            for cells in range(1, thinnest + 1):
+            ahead = thinnest if self.grid.occupied.size <= AHEAD_CELLS else 0
+            for cells in range(1, ahead + 1):
                 there = self.thinner(cells)
                 _ = there.field, there.walls, there.standable, there.pyramid
         return self
@@ -205,8 +193,8 @@ class MapFeatures:
         """Endpoint images at one, two and four times `cell`, finest first; eight on large maps."""
         coarse = self.lattice.height * self.lattice.width / 16
         return pyramid(
-            self.field.distance, self.grid.free, self.grid.resolution, cell=self.cell,
-            sigma=self.sigma_endpoint, levels=3 if coarse <= COARSE_CELLS else 4,
+            self.field.steps, self.grid.free, self.grid.resolution, cell=self.cell,
+            sigma=self.sigma_endpoint, levels=3 if coarse <= COARSE_CELLS else 4, unit=UNIT,
         )  # fmt: skip
 
     @cached_property

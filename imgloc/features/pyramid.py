@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.model import BoolArray, Float32Array, GridInfo
+from imgloc.model import BoolArray, GridInfo
 
 _BAND = 1024  # rows that are computed at a time: a large map takes little memory
 
@@ -43,13 +43,14 @@ class Level:
 
 
 def pyramid(
-    distance: Float32Array,
+    distance: npt.NDArray[Any],
     free: BoolArray,
     resolution: float,
     *,
     cell: float,
     sigma: float,
     levels: int,
+    unit: float = 1.0,
 ) -> tuple[Level, ...]:
     """Build the endpoint images, finest first.
 
@@ -59,13 +60,15 @@ def pyramid(
 
     Parameters
     ----------
-    distance, free : (H, W) float32 and bool arrays
-        :func:`~imgloc.features.distance.signed_distance`, metres; where a robot can be.
+    distance, free : (H, W) float32 or int16 array, and bool array
+        :func:`~imgloc.features.distance.signed_distance`, in units; where a robot can be.
     resolution, cell, sigma : float
         Metres: sides of a cell of the map and, a multiple of it, of the finest level; how far an
         endpoint may lie from its surface.
     levels : int
         At least 1.
+    unit : float
+        Unit of `distance`, metres.
 
     Examples
     --------
@@ -76,7 +79,8 @@ def pyramid(
     """
     factor = max(1, round(cell / resolution))
     rows = factor * max(1, _BAND // factor)
-    bands = [distance[top : top + rows] for top in range(0, len(distance), rows)]
+    tops = range(0, len(distance), rows)
+    bands = (distance[top : top + rows] * np.float32(unit) for top in tops)
     fits = (np.exp(d * d * np.float32(-0.5 / sigma**2)) * np.float32(255) for d in bands)
     sums = (_over_blocks(np.add, fit, factor) for fit in fits)  # beyond the map nothing fits
     image = np.concatenate([np.rint(s / np.float32(factor**2)).astype(np.uint8) for s in sums])

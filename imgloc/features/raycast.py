@@ -15,6 +15,7 @@ from imgloc.model import Float32Array
 _NUDGE = np.float32(1 / 128)
 _DIAGONAL = np.float32(np.sqrt(2))
 _STALE = 0.5  # share of ended rays among those that are carried on
+_FEW = 1 << 13  # rays, times cells that they may still go, that are looked at in one go
 _WHOLE = 1 << 24  # float32 holds all whole numbers below
 
 
@@ -94,15 +95,10 @@ def cast_along(
     if not np.isfinite(start).all():
         raise ValueError("origins and angles must be finite")
     start, lengths = start / resolution, lengths / resolution
-    x, y, u, v = (
-        part.astype(np.float32) for part in np.broadcast_arrays(
-            start[..., 0], start[..., 1], np.asarray(cosines), np.asarray(sines)
-        )
-    )  # fmt: skip
-    at, along = (np.stack((a.ravel(), b.ravel())) for a, b in ((x, y), (u, v)))
-    reach = np.broadcast_to(lengths.astype(np.float32), x.shape).ravel()
-    cells = _march(distance, at, along, reach)
-    return (cells * np.float32(resolution)).reshape(x.shape)
+    each = np.broadcast_arrays(start[..., 0], start[..., 1], cosines, sines, lengths)
+    x, y, u, v, reach = (part.astype(np.float32).ravel() for part in each)
+    cells = _march(distance, np.stack((x, y)), np.stack((u, v)), reach)
+    return (cells * np.float32(resolution)).reshape(each[0].shape)
 
 
 def _march(
@@ -118,8 +114,6 @@ def _march(
     image, side = distance.reshape(-1), np.array([[width], [height]], np.float32)
     exact = np.float32 if image.size < _WHOLE else np.float64  # of the index of a cell
     out = np.full(reach.size, np.inf, dtype=np.float32)
-    ray = np.flatnonzero(((start >= 0) & (start < side)).all(axis=0))
-    start, along, reach = start.take(ray, axis=1), along.take(ray, axis=1), reach[ray]
     # The border that it makes for in a cell, 0 or 1, and its length per cell, along each axis; a
     # ray across an axis never gets to either border.
     ahead = (along >= 0).astype(np.float32)
@@ -127,7 +121,8 @@ def _march(
     # Off the map there is nothing; a ray looks at its first cell wherever that is.
     exits = ((ahead * side - start) * inverse).min(axis=0)
     reach = np.minimum(reach, np.maximum(exits - _NUDGE / 2, 0))
-    t = np.zeros(ray.size, dtype=np.float32)
+    reach[((start < 0) | (start >= side)).any(axis=0)] = -1
+    t, ray, every = np.zeros_like(reach), np.arange(reach.size), (start, along, ahead, inverse)
     while ray.size:
         p = t * along
         p += start
@@ -150,12 +145,26 @@ def _march(
         goes_on = t <= reach
         goes_on &= free
         if np.count_nonzero(goes_on) < (1 - _STALE) * ray.size:
-            done = np.flatnonzero(~goes_on)
-            done = done[~free[done] & (t[done] <= reach[done])]
-            out[ray[done]] = np.maximum(t[done] - _NUDGE, 0)
+            done = np.flatnonzero(~free & (t <= reach))
+            out[ray[done]] = t[done]
             live = np.flatnonzero(goes_on)
             ray, t, reach = ray[live], t[live], reach[live]
             start, along, ahead, inverse = (
                 v.take(live, axis=1) for v in (start, along, ahead, inverse)
             )
-    return out
+            if live.size * (reach - t).max(initial=0) < _FEW:
+                break
+    # A round takes as long for a few rays as for many. These look where they are, and behind all
+    # borders that they may cross, at once.
+    steps = np.arange((reach - t).max(initial=0) + 2, dtype=np.float32)
+    border = np.floor(start + t * along) + ahead + (2 * ahead - 1) * steps[:, None, None]
+    when = np.minimum((border - start) * inverse + _NUDGE, reach + 1)
+    when = np.concatenate((t[None], when[:, 0], when[:, 1]))
+    cell = np.floor(start + when[:, None] * along)
+    index = np.multiply(cell[:, 1], width, dtype=exact) + cell[:, 0]
+    met = (image.take(index.astype(np.intp), mode="clip") == 0) & (when <= reach)
+    out[ray] = np.where(met, when, np.float32(np.inf)).min(axis=0)
+    # However it got there, a ray ends where it enters the cell.
+    (start, along, ahead, inverse), hit = every, np.isfinite(out)
+    border = np.floor(start + np.where(hit, out, 0) * along) + 1 - ahead
+    return np.where(hit, ((border - start) * inverse).max(axis=0, initial=0), out)

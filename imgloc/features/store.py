@@ -22,39 +22,24 @@ from imgloc.model import OccupancyGrid, OrientedPoints
 
 Array = npt.NDArray[Any]
 
-#: Features that are kept, those first that save most time per byte.
-KEPT = ("peeled", "surface", "visibility", "voters_visibility", "pyramid", "vmap", "walls",
-        "field")  # fmt: skip
-#: Bytes of an entry; what does not fit is computed anew each time.
-MAX_BYTES = 1 << 30
-
-_PARTS = {
-    "surface": ("xy", "alpha", "sigma_alpha", "valid"),
-}
+#: Features that are kept.
+KEPT = ("surface", "visibility", "voters_visibility", "pyramid", "vmap", "walls", "field")
 _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 
 
 def features_to_arrays(
-    features: MapFeatures, names: Iterable[str] | None = None, *, max_bytes: int = MAX_BYTES
+    features: MapFeatures, names: Iterable[str] | None = None
 ) -> dict[str, Array]:
     """Return features as named arrays: ``"walls"`` is one, ``"surface.xy"`` a part of one.
 
     The names of :data:`KEPT` are computed if need be; by default they are those computed so far.
-    Features that do not fit into `max_bytes` any more are left out.
     """
     wanted = set(vars(features)) if names is None else set(names)
     out: dict[str, Array] = {}
-    room = max_bytes
-    for name in KEPT:
-        if name not in wanted:
-            continue
-        if name == "voters_visibility" and features.voters is features.surface:
-            continue  # all surface points vote: their visibility is kept once
-        parts = _parts(name, getattr(features, name))
-        size = sum(array.nbytes for array in parts.values())
-        if size <= room:
-            room -= size
-            out |= parts
+    for name in (name for name in KEPT if name in wanted):
+        # Where all surface points vote, their visibility is kept once.
+        if name != "voters_visibility" or features.voters is not features.surface:
+            out |= _parts(name, getattr(features, name))
     return out
 
 
@@ -94,13 +79,14 @@ def features_from_arrays(
 
 def _parts(name: str, value: Any) -> dict[str, Array]:
     """A feature as named arrays."""
-    if name in _PARTS:
-        return {f"{name}.{part}": getattr(value, part) for part in _PARTS[name]}
+    if name == "surface":
+        return {
+            f"{name}.{part}": getattr(value, part)
+            for part in ("xy", "alpha", "sigma_alpha", "valid")
+        }
     if name == "pyramid":
         images = {f"{name}.image{i}": level.image for i, level in enumerate(value)}
         return images | {f"{name}.free{i}": level.free for i, level in enumerate(value)}
-    if name == "peeled":
-        return {f"{name}.{cells}": bits for cells, bits in value.items()}
     return {name: value.table if name == "field" else value}
 
 
@@ -136,10 +122,6 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
             levels.append(Level(image, free, resolution))
             height, width, resolution = -(-height // 2), -(-width // 2), 2 * resolution
         return tuple(levels)
-    if name == "peeled":
-        size = -(-shape[0] * shape[1] // 8)
-        cells = range(1, len(parts) + 1)
-        return {n: _take(parts, str(n), np.uint8, (size,)) for n in cells}
     if name == "field":
         table = _take(parts, "field", np.int16, (shape[0] * shape[1] + 1, 4))
         return DistanceField(table, *shape, features.grid.resolution)

@@ -1,8 +1,9 @@
 """Arrays that took a while to compute, kept on disk under a key that says from what.
 
 An entry is an NPZ without compression, written beside its place and renamed, so that processes
-that share a folder see whole entries only. It is read with suspicion: whatever is wrong with it,
-the caller gets None and computes anew. Beyond a limit the entries used longest ago go first.
+that share a folder see whole entries only. Its arrays are aligned and mapped into memory, not read:
+processes share them. It is used with suspicion: whatever is wrong with it, the caller gets None and
+computes anew. Beyond a limit the entries used longest ago go first.
 """
 
 import contextlib
@@ -13,6 +14,7 @@ import os
 import re
 import secrets
 import time
+import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,17 +26,17 @@ import platformdirs
 
 from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError, OutputError
-from imgloc.io.files import PathLike, display, reason
-from imgloc.io.own import open_arrays
+from imgloc.io.files import PathLike, display, open_file, reason
+from imgloc.io.own import map_arrays, write_arrays
 from imgloc.model import OccupancyGrid
 
 LOG = logging.getLogger(__name__)
 Arrays = Mapping[str, npt.NDArray[Any]]
 LIMIT_MIB = 2048
 """MiB that the entries of a folder may take, unless the environment has ``IMGLOC_CACHE_MIB``."""
-_FORMAT = 2  # of an entry
+_FORMAT = 3  # of an entry
 _ENTRY = "cache entry"
-_MOST = 1 << 32  # bytes of an entry: four times what features are kept of
+_MOST = (1 << 31) - (1 << 20)  # bytes of an entry: a larger archive has another form
 _MAKER = 8  # digits of a key that name the version of the program
 _NAME = re.compile(r"[0-9a-f]{40}\.npz|\.imgloc-cache-[0-9a-f]{16}\.tmp")
 _HEAD = 37  # bytes in which an archive says that its first member is key.npy
@@ -118,7 +120,7 @@ def entry_path(folder: PathLike, key: str) -> Path:
 
 
 def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None:
-    """Read an entry: None if there is none, or a damaged one, which is removed with a warning.
+    """Map an entry: None if there is none, or a damaged one, which is removed with a warning.
 
     The caller checks shapes and types: they are those of whoever stored the entry.
     """
@@ -126,16 +128,13 @@ def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None
     if not os.path.lexists(path):
         return None
     try:
-        with open_arrays(path, limit=_MOST, what=_ENTRY) as (archive, _):
-            if archive.files[:1] != ["key"] or str(archive["key"]) != key:
-                raise ValueError("the entry belongs to another key")
-            arrays = {name: np.asarray(archive[name]) for name in archive.files[1:]}
+        arrays, _ = map_arrays(path, limit=_MOST, what=_ENTRY)
+        if str(arrays.pop("key")) != key:
+            raise ValueError("the entry belongs to another key")
     except Exception as e:  # a file that is not what it says can end in anything
         if not isinstance(e.__context__, FileNotFoundError):  # another process has removed it since
             discard_entry(path, e)
         return None
-    for array in arrays.values():
-        array.flags.writeable = False
     with contextlib.suppress(OSError):
         os.utime(path)  # the time of its use
     return arrays
@@ -144,8 +143,10 @@ def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None
 def entry_names(folder: PathLike, key: str) -> frozenset[str]:
     """Names of the arrays of an entry, without reading them; none if there is no entry."""
     try:
-        with open_arrays(entry_path(folder, key), limit=_MOST, what=_ENTRY) as (archive, _):
-            return frozenset(archive.files) - {"key"}
+        path = entry_path(folder, key)
+        with open_file(path, limit=_MOST, error=OutputError, what=_ENTRY) as (file, _):
+            names = zipfile.ZipFile(file).namelist()
+        return frozenset(name.removesuffix(".npy") for name in names) - {"key"}
     except Exception:  # a file that is not what it says can end in anything
         return frozenset()
 
@@ -157,7 +158,7 @@ def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None
     if it does not exist, for the user alone, and holds at most `limit` bytes, by default those of
     :func:`cache_limit`. Arrays of objects are refused.
     """
-    path, limit = entry_path(folder, key), cache_limit() if limit is None else limit
+    path, limit = entry_path(folder, key), min(_MOST, cache_limit() if limit is None else limit)
     temporary = path.with_name(f".imgloc-cache-{secrets.token_hex(8)}.tmp")
     content: dict[str, Any] = {"key": np.array(key)}
     content |= {name: np.asarray(array, order="C") for name, array in arrays.items()}
@@ -171,7 +172,7 @@ def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None
         # No fsync, which takes longer than computing the arrays: members carry checksums,
         # and an entry that a power failure has torn is computed again.
         with temporary.open("xb") as file:
-            np.savez(file, **content)
+            write_arrays(file, content)
         temporary.replace(path)
     except (OSError, ValueError) as e:
         LOG.warning("%s: the map cache cannot be written: %s", display(path), reason(e))

@@ -136,8 +136,8 @@ def drawn_gain(
 
 def drawn_thick(features: MapFeatures) -> bool:
     """Return whether the walls of an uncorrected map are so thick that no scans have shown them."""
-    thickness, cell = features.thickness, features.grid.resolution
-    return features.peels and thickness >= _THICK and thickness > 2 * cell
+    cell = features.grid.resolution
+    return features.peels and features.thickness >= _THICK and features.thickness > 2 * cell
 
 
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:

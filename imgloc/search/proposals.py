@@ -58,7 +58,7 @@ def propose_endpoints(
     xy : (N, 2) float array
         Scan points, sensor frame, metres.
     theta_step : float
-        Largest step between headings, radians. The coarsest level uses every second heading.
+        Largest step between headings, radians. The coarsest level uses every third heading.
     keep : sequence of int
         Number of nodes that each level keeps, finest first.
     skip : int
@@ -83,14 +83,14 @@ def propose_endpoints(
     if len(xy) == 0:
         return np.empty((0, 3)), np.empty(0)
     thetas = uniform_thetas(theta_step)
-    thetas = uniform_thetas(2 * np.pi / (len(thetas) + len(thetas) % 2))
+    thetas = uniform_thetas(2 * np.pi / (len(thetas) + -len(thetas) % 3))
     wanted = np.ones(len(thetas), bool)
     if prior is not None:  # a coarse heading stands for the finer ones beside it
         wanted = prior.headings(thetas, 2 * np.pi / len(thetas))
-    coarse = np.flatnonzero(wanted[::2])
+    coarse = np.flatnonzero(wanted[::3])
     rough = _rough(levels[-1], len(xy[::skip]))
-    nodes = _exhaustive(rough, xy[::skip], thetas[::2][coarse], keep[-1], threads)
-    nodes[:, 0] = 2 * coarse[nodes[:, 0]]
+    nodes = _exhaustive(rough, xy[::skip], thetas[::3][coarse], keep[-1], threads)
+    nodes[:, 0] = 3 * coarse[nodes[:, 0]]
     spread = np.array([-1, 0, 1])
     for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
         parents, spread = _parents(nodes, spread, wanted), np.array([0])
@@ -104,18 +104,6 @@ def propose_endpoints(
     mean = scores[first] / (255.0 * len(xy))
     few = max(_FEWEST, np.count_nonzero(mean >= mean.max(initial=0) - worse))
     return _poses(nodes[first[:few]], thetas, levels[0]), mean[:few]
-
-
-def propose_all(
-    level: Level, xy: FloatArray, *, theta_step: float, keep: int, threads: int = 1
-) -> FloatArray:
-    """The best `keep` poses of one level at every heading: (M, 3), grid frame, best first.
-
-    `xy` are scan points (N, 2) in the sensor frame, metres. `theta_step` is the largest step
-    between headings, radians. The result does not depend on `threads`.
-    """
-    thetas = uniform_thetas(theta_step)
-    return _poses(_exhaustive(level, xy, thetas, keep, threads), thetas, level)
 
 
 def _poses(nodes: IntArray, thetas: FloatArray, level: Level) -> FloatArray:
@@ -184,11 +172,10 @@ def _largest(stack: Stack, n: int, free: BoolArray) -> IntArray:
 
 
 def _parents(nodes: IntArray, spread: IntArray, wanted: BoolArray) -> IntArray:
-    """The nodes at their own and their neighbouring headings: each once, in index order."""
+    """The nodes at their own heading, or at it and those beside it, in index order."""
     k = (nodes[:, 0] + spread[:, None]) % len(wanted)
     key = _key(k, nodes[:, 1], nodes[:, 2])[wanted[k]]
     key.sort()
-    key = key[np.diff(key, prepend=-1) > 0]  # two nodes may share a neighbouring heading
     return np.stack((key >> 40, key >> 20 & 0xFFFFF, key & 0xFFFFF), axis=1)
 
 

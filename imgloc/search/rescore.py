@@ -173,7 +173,7 @@ def _told(
     if model.bent:
         told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
         return told @ _counts(parts, len(order), model), told, distance, shifted
-    each = _passing(density, shifted, model)
+    each = np.log(density * (np.float32(model.absent) + np.float32(1 - model.absent) * shifted))
     total = np.asarray(each.sum(axis=1, dtype=np.float64))
     return total, _sums(each[:, order], parts), distance, shifted
 
@@ -217,12 +217,6 @@ def _counts(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:
     sizes = _sizes(parts, n)
     weight = sizes ** (model.alike - 1.0)
     return np.asarray(weight * (n / (sizes @ weight)))
-
-
-def _passing(density: Float32Array, shifted: Float32Array, model: EvidenceModel) -> Float32Array:
-    """Log-density of readings with their endpoints' density, given the walls that they pass."""
-    density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
-    return np.log(density)
 
 
 def _shifted(

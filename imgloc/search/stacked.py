@@ -10,14 +10,7 @@ from imgloc.model import Evidence, Float32Array, FloatArray, LaserScan, Likeliho
 from imgloc.options import DEFAULTS, Calibration, Options, Shared
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice
-from imgloc.search.weigh import (
-    MODES,
-    Weighed,
-    evidence_of,
-    explained_rays,
-    nothing,
-    settle,
-)
+from imgloc.search.weigh import MODES, Weighed, evidence_of, explained_rays, nothing, settle
 
 
 def weigh_stack(

@@ -13,12 +13,7 @@ from imgloc.options import Options, Shared
 from imgloc.search.adapt import price
 from imgloc.search.background import unmapped_score
 from imgloc.search.faces import depth_of, on_faces
-from imgloc.search.hypotheses import (
-    BLOCKS,
-    covariances,
-    covariances_from,
-    masses,
-)
+from imgloc.search.hypotheses import BLOCKS, covariances, covariances_from, masses
 from imgloc.search.modes import Modes, temperature_of
 from imgloc.search.priors import stands
 from imgloc.search.refine import block_sums, refine
@@ -105,8 +100,10 @@ def covariances_there(
 
     `spread` has the second moments of the maxima around them, of L poses at least.
     """
-    sigma = 2 * min(options.model.sigmas)
-    out = covariances_of(features, poses, readings.xy, options, sigma)
+    out = covariances(
+        poses, readings.xy, features.field, sigma=2 * min(options.model.sigmas),
+        correlated=options.trust.correlated, extent=options.fused.separation,
+    )  # fmt: skip
     return out if spread is None else out + _MAXIMA * spread[: len(poses)]
 
 
@@ -180,17 +177,6 @@ def evidence_of(
         against, temperature=temperature, mapped=mapped, through=through, floor=floor,
         things=things_at(readings, scores, best),
     )  # fmt: skip
-
-
-def covariances_of(
-    features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
-) -> FloatArray:
-    """Covariances (L, 3, 3) of poses (L, 3), grid frame, with scan points `xy` (N, 2), metres.
-
-    `sigma` is the width of the robust kernel, metres.
-    """
-    field, trust, extent = features.field, options.trust, options.fused.separation
-    return covariances(poses, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
 
 
 def explained_rays(

@@ -13,13 +13,12 @@ from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import EvidenceModel, FusedOptions, Mounting, Options, Sensor
 from imgloc.pipeline import localize, prepare
 from imgloc.search.modes import Modes
-from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Scores
 from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust import robustness as room
 from tools.trust.__main__ import main
-from tools.trust.exhaustive import exhaustive, joined, score_level
+from tools.trust.exhaustive import exhaustive, joined, propose_all, score_level
 from tools.trust.robustness import (
     RobustnessTrial,
     recorded_row,
@@ -35,7 +34,7 @@ def test_all_poses_are_tried_and_the_best_come_first():
     image = np.zeros((5, 6), np.uint8)
     image[2, 4], image[3, 1] = 200, 100
     level = Level(image, np.ones((5, 6), bool), 1.0)
-    poses = propose_all(level, np.array([[1.0, 0.0]]), theta_step=np.pi / 2, keep=5)
+    poses = propose_all(level, np.array([[1.0, 0.0]]), np.pi / 2, 5)
     assert poses[:4].tolist() == [
         [3.5, 2.5, 0.0], [4.5, 1.5, np.pi / 2], [5.5, 2.5, np.pi], [4.5, 3.5, 3 * np.pi / 2],
     ]  # fmt: skip

@@ -17,11 +17,12 @@ from imgloc.features.distance import signed_distance
 from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.features.scanpoints import one_per_place
 from imgloc.geometry import uniform_thetas
+from imgloc.model import FloatArray
 from imgloc.options import EvidenceModel
 from imgloc.pipeline import find_modes
 from imgloc.search.hypotheses import modes
 from imgloc.search.modes import Modes
-from imgloc.search.proposals import propose_all
+from imgloc.search.proposals import _exhaustive, _poses
 from imgloc.search.rescore import Scores, hit_density
 
 KEEP = 20_000
@@ -69,19 +70,26 @@ def exhaustive(
     headings = len(uniform_thetas(options.theta_step))
     while headings * features.grid.occupied.size > most * factor**2:
         factor *= 2
-    poses = propose_all(
-        score_level(features, options.model, factor),
-        points,
-        theta_step=options.theta_step,
-        keep=keep,
-        threads=threads,
-    )
+    level = score_level(features, options.model, factor)
+    poses = propose_all(level, points, options.theta_step, keep, threads)
     wider = replace(options, second_look=SECOND_LOOK)
     return joined(
         find_modes(features, scan, Options(fused=options, threads=threads)),
         find_modes(features, scan, Options(fused=wider, threads=threads), more=poses),
         options,
     )
+
+
+def propose_all(
+    level: Level, xy: FloatArray, theta_step: float, keep: int, threads: int = 1
+) -> FloatArray:
+    """The best `keep` poses of one level at every heading: (M, 3), grid frame, best first.
+
+    `xy` are scan points (N, 2) in the sensor frame, metres. `theta_step` is the largest step
+    between headings, radians. The result does not depend on `threads`.
+    """
+    thetas = uniform_thetas(theta_step)
+    return _poses(_exhaustive(level, xy, thetas, keep, threads), thetas, level)
 
 
 def joined(a: Modes, b: Modes, options: FusedOptions) -> Modes:
