@@ -239,8 +239,6 @@ class Bending(Checked):
 
 
 # More effort: nodes that each level keeps, places, and how much worse a proposal may be.
-_WIDER_KEEP: tuple[int, ...] = number("options.wider_keep")
-_WIDER: tuple[int, float] = number("options.wider")
 
 
 @dataclass(frozen=True)
@@ -255,14 +253,6 @@ class FusedOptions(Checked):
     skip: Count = number("FusedOptions.skip")
     #: mean endpoint score, 0..1, by which a proposal may be worse than the best one
     worse: Share = number("FusedOptions.worse")
-    #: side of a cell of the GHT-V votes, metres
-    vote_cell: Length = number("FusedOptions.vote_cell")
-    #: greatest number of cells of the GHT-V votes, headings counted: on a larger map cells grow
-    vote_cells: Count = number("FusedOptions.vote_cells")
-    #: number of headings of the GHT-V votes
-    vote_headings: Count = number("FusedOptions.vote_headings")
-    #: number of peaks of the GHT-V votes that become proposals
-    vote_peaks: Count = number("FusedOptions.vote_peaks")
     #: side of a square, metres, whose endpoints count as one reading
     place: Length = number("FusedOptions.place")
     #: readings that score all proposals, in the first look
@@ -282,7 +272,8 @@ class FusedOptions(Checked):
     twins: tuple[Metres, Radians] = number("FusedOptions.twins")
     #: distance, metres and radians, below which two proposals are one pose
     same: tuple[Length, Step] = number("FusedOptions.same")
-    #: misfit of the best endpoint proposal, nats per reading, above which GHT-V votes propose poses
+    #: misfit of the best endpoint proposal, nats per reading, above which parts of the scan propose
+    #: others
     unfit: Nats = number("FusedOptions.unfit")
     #: misfit, nats per reading, above which an error that all readings share is looked for, see
     #: :mod:`imgloc.search.adapt`
@@ -293,22 +284,9 @@ class FusedOptions(Checked):
     most_scaled: Annotated[float, Within(1, 10, "a factor")] = number("FusedOptions.most_scaled")
     #: distance, metres and radians, below which two poses are one hypothesis
     separation: tuple[Metres, Radians] = number("FusedOptions.separation")
-    #: misfits, nats per reading, between which the search is repeated with more effort (`wider`):
-    #: a scan that fits better needs none, and one that fits worse is of another building
-    hopeless: tuple[Nats, Nats] = number("FusedOptions.hopeless")
     #: parameters of the score, and those that are others on bent walls
     model: EvidenceModel = field(default_factory=EvidenceModel)
     bending: Bending = field(default_factory=Bending)
-
-    @property
-    def wider(self) -> "FusedOptions":
-        """More effort: the first look with all readings, more nodes, more places looked at."""
-        places, worse = _WIDER
-        a, b, c, d = map(max, self.keep, _WIDER_KEEP)
-        return replace(
-            self, few_rays=self.rays, keep=(a, b, c, d),
-            second_look=max(places, self.second_look), worse=max(worse, self.worse),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)

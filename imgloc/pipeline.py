@@ -28,13 +28,13 @@ from imgloc.io.maps import require_usable
 from imgloc.likelihoods.stacks import Stack, held_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import FUSED, FusedOptions, Options, Shared
+from imgloc.options import FUSED, Options, Shared
 from imgloc.search.adapt import THINNER, adapt, drawn_gain, drawn_walls
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
 from imgloc.search.modes import Modes, separate
 from imgloc.search.priors import pyramid_levels, standing
-from imgloc.search.proposals import propose_endpoints, propose_votes
+from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
 from imgloc.search.rescore import score_poses, shortlist
 from imgloc.search.stacked import weigh_stack
@@ -181,9 +181,9 @@ def find_modes(
     """Search a map for all poses that fit a scan, by the default method.
 
     Endpoint correlation proposes poses. If none of them fits, it proposes others with parts of the
-    scan, because a cart or a crowd may hold most of the readings. Another score decides. Most proposals are dropped after
-    a look with few readings. When the time budget of the `options` is spent, only the best poses so
-    far are followed.
+    scan, because a cart or a crowd may hold most of the readings. Another score decides. Most
+    proposals are dropped after a look with few readings. When the time budget of the `options` is
+    spent, only the best poses so far are followed.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def find_modes_by_steps(
     features: MapFeatures, scan: LaserScan, options: Options, *, more: FloatArray | None = None
 ) -> Generator[None, None, Modes]:
     """Search as :func:`find_modes` does, and pause after each step; return the modes."""
-    fused, prior, threads = options.fused, options.prior, options.threads
+    fused, prior = options.fused, options.prior
     end = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
     # Thin the readings to one for each place. Take few for a first look, more for a second.
@@ -291,9 +291,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     """
     fused, start = options.fused, time.monotonic()
 
-    def find(
-        shared: Shared, floor: Floor | None = None, more: FloatArray | None = None
-    ) -> Modes:
+    def find(shared: Shared, floor: Floor | None = None, more: FloatArray | None = None) -> Modes:
         there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
         left = options.left(time.monotonic() - start, shared=shared)
         return replace(find_modes(there, seen, left, more=more), shared=shared, floor=floor)
@@ -316,7 +314,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
             if walls != options.shared:
                 options = replace(options, shared=walls)
                 found = again(walls, more=found.places)
-        for floor in floors(scan) if lacks(found) > max(fused.unfit, fused.strained) else ():
+        for floor in floors(scan) if lacks(found) > fused.strained else ():
             if left_out(scan, floor).directions >= options.trust.readings:
                 without = again(options.shared, floor, more=np.empty((0, 3)))
                 if lacks(without) <= min(fused.strained, lacks(found)):

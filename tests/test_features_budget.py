@@ -23,7 +23,7 @@ from imgloc.options import ALL_METHODS, METHODS, Options
 from imgloc.pipeline import localize
 from imgloc.search.asked import answer_bytes
 
-FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes
+FIXED = fused_bytes((1, 1))  # what is assumed whatever the sizes
 
 
 def office(rooms: int, resolution: float = 0.05) -> OccupancyGrid:
@@ -52,7 +52,7 @@ def peak(work: Callable[[], object]) -> int:
 
 def test_preparing_takes_no_more_than_estimated() -> None:
     grid = office(8)
-    names = ("walls", "field", "standable", "pyramid", "surface", "visibility")
+    names = ("walls", "field", "standable", "pyramid", "surface")
     features = MapFeatures(grid)
     taken = peak(lambda: [getattr(features, name) for name in names])
     need = features.bytes_for("fused")
@@ -89,15 +89,15 @@ def test_features_and_answer_take_no_more_than_estimated(method: str) -> None:
 
 
 def test_estimates_grow_with_everything() -> None:
-    base = {"points": 1000, "n_psi": 72, "factor": 2}
+    base = {"points": 1000, "n_psi": 72, "factor": 2, "seeing": 1000}
     least = features_bytes((500, 500), **base)
-    assert features_bytes((500, 500), **base, voters=10) < least
+    assert features_bytes((500, 500), **{**base, "seeing": 0}) < least
     for change in ({"points": 10**6}, {"n_psi": 720}, {"factor": 1}):
         assert features_bytes((500, 500), **{**base, **change}) > least
     assert stack_bytes("ght", (500, 500), 36, threads=4) > stack_bytes("ght", (500, 500), 36)
     assert stack_bytes("beam", (99, 99), 9, n_rays=720) > stack_bytes("beam", (99, 99), 9)
-    assert fused_bytes((5000, 5000), 0.1) > fused_bytes((500, 500), 0.1)
-    assert isinstance(fused_bytes((500, 500), 0.1), int)
+    assert fused_bytes((5000, 5000)) > fused_bytes((500, 500))
+    assert isinstance(fused_bytes((500, 500)), int)
 
 
 def test_the_budget_of_the_options_is_that_of_the_ray_distances(

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.features import mapfeatures
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import (
     KEPT,
@@ -62,32 +61,6 @@ def test_every_feature_comes_back(grid: OccupancyGrid, arrays: dict) -> None:
             assert b.ndim == 0 or not b.flags.writeable
     for name in ("bmap", "free", "standable"):
         np.testing.assert_array_equal(getattr(fresh, name), getattr(back, name))
-
-
-@pytest.mark.parametrize(("name", "value"), [("VOTERS", 20), ("VOTER_SPACING", 0.47)])
-def test_the_visibility_of_a_few_voters_comes_back(
-    grid: OccupancyGrid, monkeypatch, name: str, value: float
-) -> None:
-    monkeypatch.setattr(mapfeatures, name, value)
-    fresh = MapFeatures(grid, **PARAMETERS)
-    count = 20
-    if name == "VOTER_SPACING":
-        count = int(np.ceil(len(fresh.surface) * grid.resolution / value))
-    assert len(fresh.surface) > count == len(fresh.voters)
-    assert fresh.voters_visibility.shape == (PARAMETERS["n_psi"], count)
-    pick = np.linspace(0, len(fresh.surface) - 1, count).astype(int)
-    np.testing.assert_array_equal(fresh.voters_visibility, fresh.visibility[:, pick])
-    kept = features_to_arrays(fresh, ["surface", "voters_visibility"])
-    back = features_from_arrays(grid, kept, PARAMETERS)
-    assert "visibility" not in vars(back)
-    np.testing.assert_array_equal(back.voters_visibility, fresh.voters_visibility)
-
-
-def test_where_all_points_vote_their_visibility_is_kept_once(grid, monkeypatch) -> None:
-    monkeypatch.setattr(mapfeatures, "VOTER_SPACING", 0.01)
-    kept = features_to_arrays(MapFeatures(grid, **PARAMETERS), ["surface", "voters_visibility"])
-    back = features_from_arrays(grid, kept, PARAMETERS)
-    assert back.voters_visibility is back.visibility
 
 
 def test_by_default_what_has_been_computed(grid: OccupancyGrid) -> None:

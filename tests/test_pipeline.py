@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import operator
 
 import numpy as np
 import pytest
@@ -249,29 +248,20 @@ def test_a_prepared_map_has_all_that_a_hard_scan_looks_at() -> None:
     assert answers[0].evidence.misfit == answers[1].evidence.misfit
 
 
-@pytest.mark.parametrize(("k", "seed"), [(4, 4), (5, 5), (7, 43)])
-def test_a_scan_that_hardly_fits_is_searched_for_with_more_effort(k, seed) -> None:
+@pytest.mark.parametrize(("k", "seed"), [(0, 3), (3, 1), (9, 8)])
+def test_a_scan_that_hardly_fits_is_searched_for_by_its_parts(k, seed) -> None:
     features = prepare(load_map(MAPS / "large.yaml"))
     scans = simulate(features.grid, 12, seed=2)
     # More than half of the rays are stopped anywhere before the wall.
     hit, where = np.random.default_rng(seed).random((2, len(scans[k].ranges)))
     ranges = np.where(hit < 0.55, where, 1) * scans[k].ranges
     short = dataclasses.replace(scans[k], ranges=ranges)
-    with_less = localize(features, short, Options(fused=FusedOptions(hopeless=(1e6, 1e6))))
+    with_less = localize(features, short, Options(fused=FusedOptions(unfit=1e6)))
     found = localize(features, short)
     assert found.evidence.misfit < with_less.evidence.misfit - 0.3
     x, y, _ = scans.poses[k]
     assert math.hypot(found.best.x - x, found.best.y - y) < 0.1
     assert math.hypot(with_less.best.x - x, with_less.best.y - y) > 0.3
-
-
-def test_more_effort_is_no_less_of_anything() -> None:
-    wider = FusedOptions(second_look=500, keep=(9, 9, 9, 99_999)).wider
-    assert wider.few_rays == wider.rays == FusedOptions().rays
-    assert wider.keep == (*FusedOptions().wider.keep[:3], 99_999)
-    assert all(map(operator.gt, FusedOptions().wider.keep, FusedOptions().keep))
-    assert (wider.second_look, wider.worse) == (500, 0.4)
-    assert wider.hopeless == FusedOptions().hopeless
 
 
 @pytest.mark.parametrize("options", [None, Options("cbml", top=3)])

@@ -9,15 +9,13 @@ from places import ANGLES, POSES, answer_of, facts, features_of, grid_of, scan_o
 from imgloc.answers.explain import explain
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError
-from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.options import Calibration, FusedOptions, Options, Prior, Sensor, Shared, Trust
+from imgloc.options import Calibration, Options, Prior, Sensor, Shared, Trust
 from imgloc.output.pages import why
 from imgloc.output.svg import macro
 from imgloc.pipeline import localize, prepare
-from imgloc.search.asked import check_options
 from imgloc.search.stacked import posterior_of
 from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
@@ -228,17 +226,6 @@ def test_the_page_says_that_directions_are_repeated():
 
 
 # --- what is recorded, and what is taken
-
-
-def test_the_number_of_votes_is_part_of_the_estimate():
-    features = features_of("curved")
-    shape, cell = features.lattice.shape, features.lattice.resolution
-    fused = FusedOptions(vote_cell=0.01, vote_cells=1_000_000_000)
-    need = fused_bytes(shape, cell, vote_cell=0.01, vote_cells=1_000_000_000)
-    assert need > 2 * fused_bytes(shape, cell, vote_cell=0.01)
-    check_options(features, Options(fused=fused, memory_budget=need))
-    with pytest.raises(ConfigError, match="MiB"):
-        check_options(features, Options(fused=fused, memory_budget=need - 1))
 
 
 # --- what is listed

@@ -14,11 +14,10 @@ from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import FusedOptions, Options, Prior
-from imgloc.pipeline import find_modes
+from imgloc.options import FusedOptions, Options
+from imgloc.pipeline import find_modes, propose
 from imgloc.search.modes import separate
-from imgloc.search.proposals import cast_votes, propose_votes
-from imgloc.search.rescore import Scores, score_poses, score_readings, shortlist
+from imgloc.search.rescore import Scores, score_poses, score_things, shortlist
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -96,57 +95,26 @@ def test_a_mode_is_at_the_mean_of_its_maxima_unless_that_is_in_a_wall(screen, x)
     np.testing.assert_allclose(spread[1], np.zeros((3, 3)), atol=1e-12)
 
 
-@given(seeds)
-@settings(max_examples=4)
-def test_votes_propose_the_true_pose(seed):
-    (pose,) = poses_of(seed)
-    proposals = propose_votes(features_of(), scan_at(pose), OPTIONS)
-    assert proposals.shape[1] == 3
-    assert 0 < len(proposals) <= OPTIONS.vote_peaks
-    gap = np.hypot(*(proposals[:, :2] - pose[:2]).T)
-    turn = np.abs(wrap(proposals[:, 2] - pose[2]))
-    near = (gap < 2 * OPTIONS.vote_cell) & (turn < 3 * np.pi / OPTIONS.vote_headings)
-    assert near.any()
-
-
-def test_votes_three_cells_apart_are_for_two_places(monkeypatch):
-    features, scan = features_of(), scan_at((6.0, 5.0, 1.0))
-    votes = np.zeros_like(cast_votes(features, scan, OPTIONS))
-    votes[7, 20, 20] = votes[7, 20, 23] = 1
-    monkeypatch.setattr("imgloc.search.proposals.ght_v", lambda *_, **__: votes)
-    found = propose_votes(features, scan, OPTIONS)
-    cell, theta = OPTIONS.vote_cell, 7 * 2 * np.pi / OPTIONS.vote_headings
-    expected = [(20.5 * cell, 20.5 * cell, theta), (23.5 * cell, 20.5 * cell, theta)]
-    np.testing.assert_allclose(found[np.argsort(found[:, 0])], expected)
-
-
-def test_headings_that_cannot_be_get_no_votes():
-    scan = scan_at((6.0, 5.0, 1.0))
-    votes = cast_votes(features_of(), scan, OPTIONS)
-    told = cast_votes(features_of(), scan, OPTIONS, Prior(heading=(np.pi / 2, 0.2)))
-    # Of 24 headings, 15 degrees apart, those within 0.2 radians and half a step of 90 degrees.
-    assert np.flatnonzero(told.any(axis=(1, 2))).tolist() == [5, 6, 7]
-    np.testing.assert_array_equal(told[5:8], votes[5:8])
-
-
-def test_a_scan_without_a_surface_casts_no_votes():
-    angles = np.linspace(0, 6, 12)
-    scan = LaserScan(1.0 + 5.0 * (np.arange(12) % 2), angles)  # a depth jump at every reading
-    assert propose_votes(features_of(), scan, OPTIONS).shape == (0, 3)
-
-
 # --- the search
 
 
-def test_votes_propose_only_where_endpoints_do_not_fit():
+def test_parts_propose_only_where_the_whole_scan_does_not_fit(monkeypatch):
+    asked = []
+
+    def counted(features, few, *rest):
+        asked.append(len(few))
+        return propose(features, few, *rest)
+
+    monkeypatch.setattr("imgloc.pipeline.propose", counted)
     features, scan = MapFeatures(world()), scan_at((6.0, 5.0, 1.0))
     found = find_modes(features, scan, Options())
     assert_close(found.poses[0], (6.0, 5.0, 1.0))
-    assert "voters" not in vars(features)
+    assert len(asked) == 1
     # Readings of nowhere: half of them stop short, at random.
     short = np.random.default_rng(3).uniform(0.2, 1.0, len(ANGLES)) ** 2
     find_modes(features, dataclasses.replace(scan, ranges=scan.ranges * short), Options())
-    assert "voters" in vars(features)
+    few = Options().fused.few_rays
+    assert asked[1:] == [few, few // 2, few // 2, few // 2]
 
 
 @given(seeds)
@@ -172,7 +140,7 @@ def test_what_is_returned(name):
     # Of the best maximum of each mode; the pose is the mean of them.
     less = np.abs(evidence.log_likelihood - again.log_likelihood) / len(found.readings)
     assert less.max() < 0.15
-    assert np.all(np.diff(evidence.log_likelihood) <= 0)
+    assert np.all(np.diff(evidence.things) <= 0)
     # Where a robot can be, and none of them another one's neighbour.
     cells = cell_of(poses[:, :2], features.grid.resolution)
     assert inside(cells, features.grid.info).all()
@@ -286,8 +254,6 @@ def test_no_pose_stands_where_nobody_has_been():
     pose, width = np.array([1.25, 2.35, 1.0]), wall.shape[1] * 0.1
     ranges = cast_rays(features.walls, pose[:2], pose[2] + ANGLES, 20.0, 0.1)
     scan = LaserScan(ranges, ANGLES, range_max=20.0)
-    votes = propose_votes(features, scan, OPTIONS)
-    assert (np.hypot(*(votes[:, :2] - pose[:2] - (width, 0)).T) < 0.5).any()
     found = find_modes(features, scan, Options())
     assert_close(found.poses[0], pose)
     assert np.hypot(*(found.poses[:, :2] - pose[:2] - (width, 0)).T).min() > 0.5
@@ -321,6 +287,6 @@ def test_two_layers_of_a_wall_have_a_maximum_each():
         options = Options(fused=dataclasses.replace(OPTIONS, closer=closer))
         kept, score = shortlist(poses, readings, features, options)
         assert len(kept) == expected
-        again = score_readings(features, readings, kept, options.model)
+        again = score_things(features, readings, kept, options.model)
         np.testing.assert_array_equal(score, again)
         assert score[0] == score.max()

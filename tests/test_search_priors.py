@@ -1,7 +1,5 @@
 """Priors: which poses are in them, and what a search makes of them."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from imgloc.model import GridInfo, LaserScan, OccupancyGrid
 from imgloc.options import ALL_METHODS, FusedOptions, Known, Options, Prior, Sensor
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import (
-    around,
     clearance,
     near,
     nearest,
@@ -61,30 +58,6 @@ def test_a_lattice_cell_stays_if_any_of_its_cells_does():
     assert pyramid_levels(Prior(np.array([[0, 0, 1, 0]], bool)), levels, 1.0)[0].free.tolist() == [
         [False, True]
     ]
-
-
-def test_around_covers_the_cells_and_their_neighbours():
-    one = np.zeros((1, 12), bool)
-    one[0, 6] = True  # x = 3.25 m at 0.5 m cells
-    assert around(Prior(one), (1, 6), 1.0, 0.5).tolist() == [[0, 0, 1, 1, 1, 0]]
-    assert around(Prior(), (1, 6), 1.0, 0.5) is None
-
-
-def test_around_covers_map_cells_that_are_larger_than_its_own():
-    two = around(Prior(np.array([[False, False, True]])), (5, 15), 0.2, 1.0)
-    assert two[:, 10:].all()  # all of the metre that is in the set
-    assert not two[:, :9].any()
-
-
-def test_around_takes_no_more_memory_than_the_map():
-    cells = np.ones((2000, 2000), bool)
-    prior = Prior(cells)
-    tracemalloc.start()
-    try:
-        assert around(prior, (500, 500), 0.2, 0.05).all()
-        assert tracemalloc.get_traced_memory()[1] < cells.size
-    finally:
-        tracemalloc.stop()
 
 
 def test_what_is_just_outside_is_moved_to_the_nearest_cell_and_heading():
@@ -193,7 +166,7 @@ def test_a_prior_makes_a_twin_impossible(visibility):
 
 def test_what_would_be_crowded_out_is_found(visibility):
     features, scans = visibility
-    few = FusedOptions(keep=(2, 2, 2, 2), vote_peaks=1, second_look=1)
+    few = FusedOptions(keep=(2, 2, 2, 2), second_look=1)
     x, y, theta = scans.poses[0]
     known = Prior(near(features.grid.info, x, y, 0.5), (float(theta), 0.2))
     without = localize(features, scans[0], Options(fused=few))

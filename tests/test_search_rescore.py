@@ -335,26 +335,38 @@ def test_poses_far_behind_are_left_out_where_the_best_one_fits(ranges, kept):
 
 
 def naive_things(told, bent, ranges, angles, model):
-    """Each piece of 20 degrees without a jump of 0.5 m is of the map or a thing of its own.
+    """Each piece of 20 degrees without a jump of 0.5 m is of the map or of a thing of its own.
 
-    One of the map stands where the map has it, or displaced.
+    One of the map stands where the map has it, or displaced. A thing pays once: where the surface
+    goes on, the next piece may be of the same thing. All ways to share the pieces out are summed.
     """
     price, apart = number("rescore.price"), number("rescore.apart")
-    total = mapped = 0
-    for piece, moved in zip(naive_pieces(ranges, angles), bent, strict=True):
-        here = sum(told[k] for k in piece)
-        here = np.logaddexp(here, moved - number("rescore.displaced")[1])
+    pieces = naive_pieces(ranges, angles)
+    ends = [(a[-1], b[0]) for a, b in itertools.pairwise(pieces)]
+    goes_on = [bool(abs(ranges[k] - ranges[j]) <= 0.5) for j, k in ends]
+    mapped, here = 0, []
+    for piece, moved in zip(pieces, bent, strict=True):
+        there = sum(told[k] for k in piece)
+        here.append(np.logaddexp(there, moved - number("rescore.displaced")[1]))
         own = len(piece) * (model.best - apart) - price
-        total += max(here, own) + math.log1p(math.exp(-abs(here - own)))
-        mapped += len(piece) > 1 and here > max(own, len(piece) * (model.best - 2.0))
-    return total, mapped
+        mapped += len(piece) > 1 and here[-1] > max(own, len(piece) * (model.best - 2.0))
+    free = [len(piece) * (model.best - apart) for piece in pieces]
+    ways = [()]
+    for k in range(len(pieces)):
+        choices = ["map", "thing"] + ["same"] * (k > 0 and goes_on[k - 1])
+        ways = [(*way, one) for way in ways for one in choices if one != "same" or way[-1] != "map"]
+    logs = [
+        sum(here[k] if one == "map" else free[k] - price * (one == "thing")
+            for k, one in enumerate(way)) for way in ways
+    ]  # fmt: skip
+    return np.logaddexp.reduce(logs), mapped
 
 
 @given(seeds)
 @settings(max_examples=12)
 def test_the_score_by_things_equals_the_loops(seed):
     wall, poses, rng = room_with_pillars(seed)
-    angles, ranges = np.sort(rng.uniform(-3, 3, 40)), np.repeat(rng.uniform(0.5, 6, 8), 5)
+    angles, ranges = np.sort(rng.uniform(-0.6, 0.6, 40)), np.repeat(rng.uniform(0.5, 4, 5), 8)
     got, model = score(wall, poses[:2], ranges, angles), EvidenceModel()
     each = [
         score(wall, poses[:2], [r], [a]).log_likelihood for r, a in zip(ranges, angles, strict=True)
@@ -368,6 +380,20 @@ def test_the_score_by_things_equals_the_loops(seed):
         total, mapped = naive_things(told, moved, ranges, angles, model)
         assert got.things[i] == pytest.approx(total, abs=1e-2)
         assert got.mapped[i] == mapped
+
+
+@pytest.mark.parametrize(("split", "things"), [(False, 1), (True, 2)])
+def test_a_cart_of_many_pieces_is_one_thing(split, things):
+    """Its side goes on over four pieces; a gap with the wall behind it makes it two things."""
+    model, wall = EvidenceModel(), corridor()
+    angles = np.linspace(-0.6, 0.6, 121)
+    ranges = np.full(121, 1.5)
+    if split:
+        ranges[55:66] = 4.0 / np.cos(angles[55:66])
+    got = score(wall, POSE, ranges, angles)
+    hidden = np.count_nonzero(ranges == 1.5)
+    own = hidden * (model.best - number("rescore.apart")) - things * number("rescore.price")
+    assert got.things[0] - own == pytest.approx(model.best * (121 - hidden), abs=8.0)
 
 
 def test_what_hides_a_wall_costs_once():

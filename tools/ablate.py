@@ -1,7 +1,7 @@
 """What does each step of the recipe earn? Answers with one step off, beside answers as they are.
 
     python -m tools.ablate --sets ../data/*/map.yaml --pieces ablation --out page.md
-    python -m tools.ablate votes adapt --sets ../data/*/map.yaml -n 10
+    python -m tools.ablate parts adapt --sets ../data/*/map.yaml -n 10
 
 A step is off where a number of ``numbers.json`` is another one, or one function does nothing; each
 runs in a process of its own. Scans are recorded beside the maps or simulated in the bundled worlds;
@@ -17,6 +17,8 @@ from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.numbers import NUMBERS, Number
@@ -40,21 +42,19 @@ def _same_poses(poses: Any, *_: Any) -> Any:
 
 
 def _all_stand(poses: Any, *_: Any) -> Any:
-    import numpy as np
-
     return np.ones(len(poses), bool)
 
 
 def _best_of_maxima(poses: Any, _: Any, best: Any, **__: Any) -> Any:
-    import numpy as np
-
     return poses[best].copy(), np.zeros((len(best), 3, 3))
 
 
 def _no_room(xy: Any, _: Any) -> Any:
-    import numpy as np
-
     return np.full(len(xy), -np.inf)
+
+
+def _each_pays(told: Any, own: Any, _: Any) -> Any:
+    return np.logaddexp(told, own).sum(axis=1)
 
 
 def _any_number(trust: Any, misfit: float, _: int = 100, cell: float = 0.0) -> Any:
@@ -80,7 +80,7 @@ STEPS: Mapping[str, Step] = {
     "second look": Step("of 20 places, not 80", {"FusedOptions.second_look": 20}),
     "closer": Step("one pose for each place", {"FusedOptions.closer": 1}),
     "twins": Step("places are 0.02 m wide", {"FusedOptions.twins": (0.02, 0.0122)}),
-    "votes": Step("none", {"FusedOptions.unfit": 1e6}),
+    "parts": Step("the whole scan alone proposes", {"FusedOptions.unfit": 1e6}),
     "visibility": Step("walls are no obstacle", {"EvidenceModel.absent": 1.0}),
     "displaced": Step("a wall is where it is drawn", {"EvidenceModel.displaced": 1e-4}),
     "margin": Step("none but half a cell", {"EvidenceModel.margin": 0.0}),
@@ -93,7 +93,6 @@ STEPS: Mapping[str, Step] = {
     "adapt": Step("no error is shared", {"FusedOptions.strained": 1e6}),
     "thick": Step("thick walls are as drawn", {"adapt.drawn": (1e3, 0.5, 0.1, 0.1, 0.5)}),
     "floor": Step("no reading ends on the floor", {"floor.least": 2.0}),
-    "wider": Step("never more effort", {"FusedOptions.hopeless": [1e6, 1e6]}),
     "scale": Step("only walls are adapted", {"FusedOptions.most_scaled": 1.0}),
     "scales": Step("the scale begins at 1", {"adapt.scales": (1.0,)}),
     "thickness": Step("walls get thinner by one cell at most", {"adapt.thinner": 1}),
@@ -103,6 +102,11 @@ STEPS: Mapping[str, Step] = {
         weighs=True,
     ),
     "things": Step("nothing is a thing of its own", {"rescore.price": 1e6}, weighs=True),
+    "goes on": Step(
+        "each piece of a thing pays",
+        instead={f"search.{room}.by_things": _each_pays for room in ("rescore", "background")},
+        weighs=True,
+    ),
     "pieces": Step("pieces are not counted", {"weigh.pieces": 0.0}, weighs=True),
     "price": Step("what is found is free", {"adapt.against": (0.0, 0.0)}, weighs=True),
     "strain": Step("misfit does not count", {"Trust.strain": 0.0}, weighs=True),
@@ -184,8 +188,6 @@ def _answers(asking: Asking, weighs: bool, keep: bool, pieces: Path) -> Iterator
     import pickle
     import time
 
-    import numpy as np
-
     from imgloc import pipeline
     from imgloc.geometry import pose_errors, wrap
     from imgloc.model import Pose2D
@@ -233,8 +235,6 @@ def _cases(asking: Asking) -> Iterator[tuple[str, str, Any, Any, Any, Any]]:
     Each set has all conditions but undisturbed ones in turns: every third, with a tenth of the
     scans.
     """
-    import numpy as np
-
     from imgloc.geometry import transform_poses
     from imgloc.options import Known
     from imgloc.pipeline import prepare

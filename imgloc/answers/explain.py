@@ -47,8 +47,7 @@ from imgloc.model import (
 )
 from imgloc.numbers import number
 from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
-from imgloc.search.priors import around, pyramid_levels
-from imgloc.search.proposals import cast_votes, vote_cell
+from imgloc.search.priors import pyramid_levels
 from imgloc.search.rescore import score_poses
 from imgloc.search.weigh import settle
 
@@ -293,7 +292,7 @@ def faced(
 
 
 def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Iterator[Layer]:
-    """Yield the likelihoods of what may propose, or the stack itself of another method.
+    """Yield the likelihood of what proposes, or the stack itself of another method.
 
     The scan has at least one valid reading. What a picture may take of memory the options say.
     """
@@ -308,14 +307,6 @@ def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Itera
         yield _layer(method, about, stack.values.max(axis=0), stack.grid.resolution, features)
         return
     yield _endpoints(features, scan, options)
-    votes = cast_votes(features, scan, options.fused, options.prior, options.threads)
-    cell, few = vote_cell(features.grid.info, options.fused), options.fused.few_rays
-    about = f"{len(votes)} headings, cells of {cell:.2g} m, at most {few} readings"
-    best = votes.max(axis=0)
-    allowed = around(options.prior, best.shape, cell, features.grid.resolution)
-    if allowed is not None:
-        best *= allowed
-    yield _layer("ght-v", about, best, cell, features)
 
 
 def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:

@@ -18,8 +18,6 @@ MIB = 1 << 20
 UNKNOWN_RAM = 4 << 30
 #: Another process before it does anything: Python, NumPy, OpenCV.
 PROCESS = 96 * MIB
-#: Surface points that vote for proposals at most.
-VOTERS = 100_000
 
 _POSE = 20  # bytes per pose of a stack: itself, its posterior, and the search for peaks
 _FIXED = 64 * MIB  # buffers whose size depends neither on the map nor on the scan
@@ -92,24 +90,24 @@ def surface_count(grid: OccupancyGrid) -> int:
 
 
 def features_bytes(
-    shape: tuple[int, int], *, points: int, factor: int, n_psi: int = 72, voters: int = VOTERS
+    shape: tuple[int, int], *, points: int, factor: int, n_psi: int = 72, seeing: int = 0
 ) -> int:
     """Peak of computing what a method uses of a map, besides the map itself.
 
     `points` are :func:`surface_count`, `n_psi` directions of the visibility map, `factor` cells of
-    the map along one of the lattice; `voters` surface points vote at most.
+    the map along one of the lattice; `seeing` surface points have visibility.
 
     Examples
     --------
     >>> round(features_bytes((10_000, 10_000), points=100_000, factor=2) / 2**30, 1)
     2.2
     """
-    cells, voters = shape[0] * shape[1], min(points, voters)
-    held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * voters
+    cells = shape[0] * shape[1]
+    held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * seeing
     # One at a time: images of the map, outlines and the lines fitted to them in a band of rows,
     # rays of the visibility map.
     lines = 120 * points + 1200 * min(points, 1 << 17)
-    return held + max(9 * cells, lines, 130 * min(voters * n_psi, 1 << 21))
+    return held + max(9 * cells, lines, 130 * min(seeing * n_psi, 1 << 21))
 
 
 def ray_distances_bytes(shape: tuple[int, int], n_psi: int) -> int:
@@ -147,26 +145,16 @@ def stack_bytes(
     return _POSE * cells * n_thetas + extra.get(method, 0) + _FIXED
 
 
-def fused_bytes(
-    shape: tuple[int, int],
-    resolution: float,
-    *,
-    n_thetas: int = 360,
-    vote_cell: float = 0.25,
-    vote_headings: int = 24,
-    vote_cells: int = 4_000_000,
-) -> int:
+def fused_bytes(shape: tuple[int, int], *, n_thetas: int = 360) -> int:
     """Peak of `localize` with the default method, besides the features.
 
-    `shape` and `resolution` (metres) are of the lattice of poses, `n_thetas` the headings of the
-    endpoint correlation; the rest is of :class:`imgloc.options.FusedOptions`.
+    `shape` is of the lattice of poses, `n_thetas` the headings of the endpoint correlation.
     """
     cells = shape[0] * shape[1]
     # The coarsest level takes every third heading, some at a time.
     coarse = min(n_thetas // 3 * cells // 16, max(1 << 22, cells // 16))
-    votes = min(vote_cells, vote_headings * cells * resolution**2 / vote_cell**2)
-    # Beside the votes: the finest level in a margin as wide as the map, for readings that long.
-    return int(12 * coarse + _POSE * votes + 10 * cells) + _FIXED
+    # Then the finest level in a margin as wide as the map, for readings that long.
+    return 12 * coarse + 10 * cells + _FIXED
 
 
 def scans_bytes(scans: int, numbers: int, file_bytes: int = 0, *, text: bool = False) -> int:

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import (
-    VOTERS,
     check_budget,
     features_bytes,
     ray_distances_bytes,
@@ -32,8 +31,6 @@ from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
 
-#: Metres of wall to each surface point that votes for proposals: votes find places.
-VOTER_SPACING = 0.25
 #: A map with more cells keeps its walls as they are: each thinner copy has features of its own.
 PEELED_CELLS = 6_000_000
 #: A map with more cells has thinner copies made when an answer first needs them: 0.1 s each.
@@ -175,7 +172,7 @@ class MapFeatures:
         """
         _ = self.field, self.walls, self.standable, self.free, self.pyramid
         if self.peels:
-            _ = self.voters_visibility, self.thickness
+            _ = self.thickness
             ahead = thinnest if self.grid.occupied.size <= AHEAD_CELLS else 0
             for cells in range(1, ahead + 1):
                 there = self.thinner(cells)
@@ -220,26 +217,8 @@ class MapFeatures:
     @cached_property
     def visibility(self) -> Float32Array:
         """Visibility of GHT-V, (n_psi, M) float32 metres, direction 0 is the normal."""
-        return self._visibility_of(self.surface)
-
-    @cached_property
-    def voters(self) -> OrientedPoints:
-        """Surface points that vote for proposals: one for each cell of the votes along a wall."""
-        count = len(self.surface)  # about one for each cell of the map along a wall
-        wanted = min(VOTERS, int(np.ceil(count * self.grid.resolution / VOTER_SPACING)))
-        if count <= wanted:
-            return self.surface
-        return self.surface.select(np.linspace(0, count - 1, wanted).astype(np.int64))
-
-    @cached_property
-    def voters_visibility(self) -> Float32Array:
-        """Visibility of the :attr:`voters`, (n_psi, M') float32 metres, direction 0 the normal."""
-        few = self.voters is self.surface
-        return self.visibility if few else self._visibility_of(self.voters)
-
-    def _visibility_of(self, points: OrientedPoints) -> Float32Array:
         frames = visibility_frames(
-            self.grid.occupied, points, self.grid.resolution, self.n_psi, self.horizon,
+            self.grid.occupied, self.surface, self.grid.resolution, self.n_psi, self.horizon,
             by=self.visibility_by, distance=self.walls,
         )  # fmt: skip
         return read_only(frames)
@@ -281,9 +260,9 @@ class MapFeatures:
         """
         height, width = self.grid.occupied.shape
         points = surface_count(self.grid)
-        voters = points if method == "ght-v" else VOTERS
+        seeing = points if method == "ght-v" else 0
         need = features_bytes(
-            (height, width), points=points, n_psi=self.n_psi, factor=self.factor, voters=voters
+            (height, width), points=points, n_psi=self.n_psi, factor=self.factor, seeing=seeing
         )
         gradients = 48 if method == "cbml-o" and self.vmap_from == "image" else 0
         return need + gradients * int(height * width)

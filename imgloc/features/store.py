@@ -23,7 +23,7 @@ from imgloc.model import OccupancyGrid, OrientedPoints
 Array = npt.NDArray[Any]
 
 #: Features that are kept.
-KEPT = ("surface", "visibility", "voters_visibility", "pyramid", "vmap", "walls", "field")
+KEPT = ("surface", "visibility", "pyramid", "vmap", "walls", "field")
 _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 
 
@@ -37,9 +37,7 @@ def features_to_arrays(
     wanted = set(vars(features)) if names is None else set(names)
     out: dict[str, Array] = {}
     for name in (name for name in KEPT if name in wanted):
-        # Where all surface points vote, their visibility is kept once.
-        if name != "voters_visibility" or features.voters is not features.surface:
-            out |= _parts(name, getattr(features, name))
+        out |= _parts(name, getattr(features, name))
     return out
 
 
@@ -109,11 +107,10 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
         xy = _take(parts, "xy", np.float64, (n, 2))
         alpha, sigma_alpha = (_take(parts, k, np.float64, (n,)) for k in ("alpha", "sigma_alpha"))
         return OrientedPoints(xy, alpha, sigma_alpha, _take(parts, "valid", np.bool_, (n,)))
-    if name in ("visibility", "voters_visibility"):
+    if name == "visibility":
         if "surface" not in vars(features):
             raise ValueError("visibility without its surface")
-        points = features.surface if name == "visibility" else features.voters
-        return _take(parts, name, np.float32, (features.n_psi, len(points)))
+        return _take(parts, name, np.float32, (features.n_psi, len(features.surface)))
     if name == "pyramid":
         levels, (height, width), resolution = [], lattice.shape, lattice.resolution
         for i in range((len(parts) + 1) // 2):

@@ -75,7 +75,7 @@ def warm(site: Site, options: Options, tracking: Tracking) -> None:
     features, options = site.features, replace(site.options(options), time_budget=None)
     check_options(features, options)
     for there in _levels(features, options):
-        _ = there.field, there.walls, there.standable, there.pyramid, there.voters_visibility
+        _ = there.field, there.walls, there.standable, there.pyramid
     free = np.argwhere(features.grid.free)
     at = free[len(free) // 2]
     x, y = centre_of(at, features.grid.resolution)

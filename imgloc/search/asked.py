@@ -43,17 +43,9 @@ def check_options(features: MapFeatures, options: Options) -> None:
 
 def answer_bytes(features: MapFeatures, options: Options) -> int:
     """Bytes that :func:`imgloc.localize` needs at most, besides the map's features."""
-    shape, cell = features.lattice.shape, features.lattice.resolution
+    shape = features.lattice.shape
     if options.method == FUSED:
-        fused = options.fused
-        return fused_bytes(
-            shape,
-            cell,
-            n_thetas=len(uniform_thetas(fused.theta_step)),
-            vote_cell=fused.vote_cell,
-            vote_headings=fused.vote_headings,
-            vote_cells=fused.vote_cells,
-        )
+        return fused_bytes(shape, n_thetas=len(uniform_thetas(options.fused.theta_step)))
     return stack_bytes(
         options.method, shape, len(options.thetas), threads=options.threads, n_rays=features.n_rays
     )

@@ -80,24 +80,6 @@ def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
     return np.asarray(free & any_of_blocks(prior.cells, factor))
 
 
-def around(
-    prior: Prior, shape: tuple[int, int], cell: float, resolution: float
-) -> BoolArray | None:
-    """Cells of another lattice over the map, `cell` metres wide, that touch the prior."""
-    if prior.cells is None:
-        return None
-    row, column = (
-        ((np.arange(n) + 0.5) * (resolution / cell)).astype(np.intp) for n in prior.cells.shape
-    )
-    # Rows and columns that meet in one lattice cell are neighbours: no list of cells is needed.
-    first, left = (np.flatnonzero(np.diff(at, prepend=-1)) for at in (row, column))
-    some = np.logical_or.reduceat(np.logical_or.reduceat(prior.cells, first), left, axis=1)
-    out = np.zeros(shape, np.uint8)
-    out[np.ix_(row[first], column[left])] = some
-    side = 2 * int(np.ceil(resolution / (2 * cell))) + 1  # for map cells larger than these
-    return np.asarray(cv2.dilate(out, np.ones((side, side), np.uint8)) > 0)
-
-
 def pyramid_levels(prior: Prior, levels: tuple[Level, ...], resolution: float) -> tuple[Level, ...]:
     """The pyramid with only those free cells that touch the prior.
 

@@ -1,9 +1,8 @@
-"""Proposals: poses that endpoint correlation, or coarse GHT-V votes, find worth a closer look.
+"""Proposals: poses that endpoint correlation finds worth a closer look.
 
 The correlation of CBML with a narrow kernel and a fine theta step proposes the true pose almost
-always, on clean and on old maps alike. Votes find some of the others. Only the coarsest level of
-the pyramid is searched exhaustively. A finer level is searched around the poses that the coarser
-one kept.
+always, on clean and on old maps alike. Only the coarsest level of the pyramid is searched
+exhaustively. A finer level is searched around the poses that the coarser one kept.
 """
 
 from collections.abc import Sequence
@@ -15,26 +14,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
-from imgloc.features.scanpoints import evenly, scan_points
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.correlate import correlate
-from imgloc.likelihoods.ght import ght_v
-from imgloc.likelihoods.posterior import smooth
 from imgloc.likelihoods.slices import Stack, cell_offsets
-from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, IntArray, LaserScan
+from imgloc.model import BoolArray, FloatArray, IntArray
 from imgloc.numbers import number
-from imgloc.options import FusedOptions, Prior
+from imgloc.options import Prior
 from imgloc.search.lookups import sums_under
-from imgloc.search.peaks import find_peaks
-from imgloc.search.priors import around
 
 _CHUNK_CELLS = 1 << 20  # cells of the exhaustive level's stack at a time: 4 MB
 _FIRST_CELLS = 1 << 18  # cells of its first piece
 _FEWEST_LEVELS = number("proposals.fewest_levels")  # grey levels besides 0
 _FEWEST: int = number("proposals.fewest")  # poses that are proposed however bad they are
-_VOTE_BLUR = number("proposals.vote_blur")  # standard deviations, cells and headings
 _BLOCK = number("proposals.block")  # cells and headings a side; each block has one proposal
 
 
@@ -231,59 +223,3 @@ def _score(
         images = [line[corner:] for corner in (0, 1, stride, stride + 1)]
     base = (2 * parents[:, 1] + rows) * stride + 2 * parents[:, 2] + columns
     return sums_under(images, down * stride + across, parents[:, 0], base)
-
-
-def propose_votes(
-    features: MapFeatures,
-    scan: LaserScan,
-    options: FusedOptions,
-    prior: Prior | None = None,
-    threads: int = 1,
-) -> FloatArray:
-    """Propose the peaks of coarse GHT-V votes: poses (M, 3), grid frame, best first.
-
-    The poses have metres, metres and radians. The result does not depend on `threads`.
-    """
-    votes = cast_votes(features, scan, options, prior, threads)
-    cell, where = vote_cell(features.grid.info, options), None
-    if prior is not None:
-        where = around(prior, votes.shape[1:], cell, features.grid.resolution)
-    peaks = find_peaks(votes, options.vote_peaks, where=where)
-    theta = peaks[:, 0] * (2 * np.pi / options.vote_headings)
-    return np.column_stack(((peaks[:, :0:-1] + 0.5) * cell, theta))
-
-
-def vote_cell(grid: GridInfo, options: FusedOptions) -> float:
-    """Side of a vote's cell on a map, metres: larger on large maps, to limit time and memory.
-
-    Examples
-    --------
-    >>> vote_cell(GridInfo(1000, 1000, 0.05), FusedOptions())
-    0.25
-    >>> round(vote_cell(GridInfo(10_000, 10_000, 0.05), FusedOptions()), 2)
-    1.22
-    """
-    area = grid.height * grid.width * grid.resolution**2
-    return float(max(options.vote_cell, np.sqrt(area * options.vote_headings / options.vote_cells)))
-
-
-def cast_votes(
-    features: MapFeatures,
-    scan: LaserScan,
-    options: FusedOptions,
-    prior: Prior | None = None,
-    threads: int = 1,
-) -> Float32Array:
-    """Coarse, smoothed GHT-V votes (K, H, W), Alg. 5; 0 at headings outside of the prior."""
-    points = scan_points(scan.ranges, scan.angles, scan.valid)
-    usable = np.flatnonzero(points.valid)
-    points = points.select(usable[evenly(len(usable), options.few_rays)])
-    grid, n = features.grid.info, options.vote_headings
-    cell = vote_cell(grid, options)
-    rows, columns = (int(np.ceil(side * grid.resolution / cell)) for side in grid.shape)
-    voters, visible = features.voters, features.voters_visibility
-    votes = ght_v(voters, visible, points, n, (rows, columns), cell, threads=threads)
-    votes = smooth(votes, *_VOTE_BLUR)
-    if prior is not None:
-        votes[~prior.headings(uniform_thetas(2 * np.pi / n), np.pi / n)] = 0
-    return votes
