@@ -41,7 +41,7 @@ from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Sighting, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
-from imgloc.live.settings import Settings
+from imgloc.live.settings import MEASURED, Settings
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
@@ -84,8 +84,6 @@ MISSING = (
 )
 _LOOK = 0.5  # seconds between two looks at what has become of everything
 _KEPT = 10.0  # seconds that who comes late still gets /initialpose: what tf2 remembers by default
-_LATE = 1.0  # seconds that a scan waits for odometry and transforms of its time
-_NO_ODOMETRY = 2.0  # seconds from the first scan until the scans alone tell the motion
 _WAITING = 100  # scans that wait so, of all lasers
 _ANSWERED = 15.0  # seconds that ~/localize waits for a pose at most
 _MOVES = 4000  # poses of the odometry, and of a link of tf, remembered: 20 s of 200 a second
@@ -405,9 +403,8 @@ class LocalizerNode:
             laser.skipped += 1
             return
         self._first = min(self._first, laser.heard)
-        self._waiting.append(
-            _Waiting(laser, scan, frame, message.header.stamp, laser.heard + _LATE)
-        )
+        until = laser.heard + MEASURED.late
+        self._waiting.append(_Waiting(laser, scan, frame, message.header.stamp, until))
         self._go_on()
 
     def _go_on(self) -> None:
@@ -439,7 +436,7 @@ class LocalizerNode:
                 return scan, None, f"transforms from {base} to {one.frame}"
             mount, turned = Pose2D(*planar(link)), link[2, 2] < 0
         odom = self._moves.at(stamp)
-        silent = not self._moved and time.monotonic() > self._first + _NO_ODOMETRY
+        silent = not self._moved and time.monotonic() > self._first + MEASURED.without_odometry
         if odom is None and not silent:
             return scan, None, "odometry"
         scan = scan.flipped if turned else scan
@@ -489,7 +486,7 @@ class LocalizerNode:
             self._moves.clear()
         elif judged != FINE:
             return
-        if not self._moved and time.monotonic() > self._first + _NO_ODOMETRY:
+        if not self._moved and time.monotonic() > self._first + MEASURED.without_odometry:
             self._robot.reset()  # until now the scans alone told the motion
         self._moved = True
         self._odom_frame = frame_name(message.header.frame_id) or "odom"

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from imgloc.errors import ConfigError
-from imgloc.options import Flipped, Metres, Place, Radians
+from imgloc.numbers import number
+from imgloc.options import Flipped, Metres, Place, Radians, Share
 from imgloc.pose import Pose2D, check_mount
 from imgloc.ranges import Checked, Doc, Matches, Within, option
 from imgloc.texts import pose
@@ -20,6 +21,24 @@ def _poses(text: str) -> tuple[float, ...]:
     words = text.split(",")
     threes = [",".join(words[k : k + 3]) for k in range(0, len(words), 3)]
     return tuple(value for three in threes for value in pose(three))
+
+
+_Wait = Annotated[float, Within(0.01, 60, "seconds")]
+
+
+@dataclass(frozen=True)
+class Measured(Checked):
+    """What the node goes by, and no robot sets."""
+
+    #: from a scan's arrival until it is left out, if odometry or transforms of its time lack
+    late: _Wait = number("live.late")
+    #: from the first scan until the scans alone give the motion
+    without_odometry: _Wait = number("live.without_odometry")
+    #: of one scan that is believed without a second: least mass, and largest radius of 95 %
+    alone: tuple[Share, Metres] = number("live.alone")
+
+
+MEASURED = Measured()
 
 
 @dataclass(frozen=True)
