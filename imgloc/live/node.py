@@ -26,6 +26,7 @@ from imgloc.errors import ConfigError, ImglocError, ScanError, printable
 from imgloc.filters.belief import LOST, deviations_of, one_place
 from imgloc.filters.follow import BLIND, Moment
 from imgloc.filters.watch import AGREES, DISAGREES, Opinion, Watch
+from imgloc.io.clouds import Cloud, seen_in_msg
 from imgloc.io.messages import (
     frame_name,
     grid_from_msg,
@@ -33,7 +34,6 @@ from imgloc.io.messages import (
     move_of,
     planar,
     pose_of,
-    scan_from_msg,
     seconds_of,
 )
 from imgloc.live.line import Dropped
@@ -55,6 +55,7 @@ from imgloc.live.status import (
     status_row,
 )
 from imgloc.model import (
+    FloatArray,
     LaserScan,
     Localization,
     OccupancyGrid,
@@ -172,7 +173,7 @@ class _Waiting:
     """A scan that waits for what the robot did at its time."""
 
     laser: Topic
-    scan: LaserScan  # not mounted yet
+    scan: LaserScan | Cloud  # not mounted yet
     frame: str
     stamp: Any  # as it stands in the message
     until: float  # monotonic seconds
@@ -240,7 +241,7 @@ class LocalizerNode:
         self.first = FirstPose(settings)
         self.lasers = [
             Topic(topic, None if mounts is None else mounts[k], Stamps(settings.max_age))
-            for k, topic in enumerate(settings.scan_topics)
+            for k, (topic, _) in enumerate(settings.topics)
         ]  # fmt: skip
         self.found: Found | None = None
         self._sure = False  # whether that is a pose that was published
@@ -288,8 +289,9 @@ class LocalizerNode:
             depth=1, reliability=reliable, durability=latched.durability,
             lifespan=ros.duration.Duration(seconds=_KEPT),
         )  # fmt: skip
-        for name, laser in zip(self.settings.scan_topics, self.lasers, strict=True):
-            laser.topic = self._hear(ros.sensor_msgs.LaserScan, name, self._scan_of(laser), sensor)
+        for (name, cloud), laser in zip(self.settings.topics, self.lasers, strict=True):
+            kind = ros.sensor_msgs.PointCloud2 if cloud else ros.sensor_msgs.LaserScan
+            laser.topic = self._hear(kind, name, self._scan_of(laser), sensor)
         self._hear(ros.nav_msgs.Odometry, "odom", self._on_odometry, sensor)
         if self.from_topic:
             self._map_topic = self._hear(ros.nav_msgs.OccupancyGrid, "map", self._on_map, latched)
@@ -335,7 +337,7 @@ class LocalizerNode:
             made = self.node.create_subscription(kind, topic, heard, qos)
         except self.ros.exceptions.InvalidTopicNameException as error:
             why = str(error).splitlines()[0].removesuffix(":")
-            raise ConfigError(f"parameter scan_topics: got {topic!r}: {why}") from None
+            raise ConfigError(f"topic: got {topic!r}: {why}") from None
         name = str(made.topic_name)
         made.callback = self._guarded(name, heard)
         return name
@@ -369,7 +371,7 @@ class LocalizerNode:
         before, laser.heard = laser.heard, time.monotonic()
         now = self.now
         try:
-            scan = scan_from_msg(message, laser.topic, received=0.0)
+            scan = seen_in_msg(message, laser.topic, received=0.0)
         except ScanError as error:
             laser.bad, laser.wrong = laser.bad + 1, str(error).removeprefix(f"{laser.topic}: ")
             raise
@@ -388,7 +390,7 @@ class LocalizerNode:
                 laser.heard = before
                 self._repeat(laser, now)
             return
-        content = scan.ranges.tobytes()
+        content = (scan.points if isinstance(scan, Cloud) else scan.ranges).tobytes()
         again, laser.ranges = content == laser.ranges, content
         if again:
             laser.frozen = True
@@ -414,7 +416,7 @@ class LocalizerNode:
             one = self._waiting.popleft()
             era = self._era
             scan, odom, lacks = self._complete(one)
-            if not lacks:
+            if scan is not None:
                 self._look_at(one, scan, odom)
                 one.laser.late = ""
             elif one.until > late and len(kept) < _WAITING:
@@ -425,23 +427,17 @@ class LocalizerNode:
                 return  # all that waits is of another time
         self._waiting = kept
 
-    def _complete(self, one: _Waiting) -> tuple[LaserScan, Pose2D | None, str]:
+    def _complete(self, one: _Waiting) -> tuple[LaserScan | None, Pose2D | None, str]:
         """The scan, cut and mounted, with the odometry of its time; or what it waits for."""
-        scan, laser, turned = one.scan, one.laser, self.settings.flipped
-        stamp, mount = scan.stamp, laser.mount
-        if mount is None:
-            base = self.settings.base_frame
-            link = self._frames.at(one.frame, base, stamp)
-            if link is None:
-                return scan, None, f"transforms from {base} to {one.frame}"
-            mount, turned = Pose2D(*planar(link)), link[2, 2] < 0
+        laser, stamp, base = one.laser, one.scan.stamp, self.settings.base_frame
+        link = self._frames.at(one.frame, base, stamp) if laser.mount is None else None
+        if link is None and laser.mount is None:
+            return None, None, f"transforms from {base} to {one.frame}"
         odom = self._moves.at(stamp)
         silent = not self._moved and time.monotonic() > self._first + MEASURED.without_odometry
         if odom is None and not silent:
-            return scan, None, "odometry"
-        scan = scan.flipped if turned else scan
-        reach = min(scan.range_max, self.settings.range_max)
-        scan = replace(scan, range_max=reach, T_base_laser=mount, laser=laser.topic)
+            return None, None, "odometry"
+        scan = placed(one.scan, self.settings, laser.topic, laser.mount, link)
         return scan, None if odom is None else Pose2D(*odom), ""
 
     def _look_at(self, one: _Waiting, scan: LaserScan, odom: Pose2D | None) -> None:
@@ -933,6 +929,26 @@ class LocalizerNode:
             ("publisher", node.publishers), ("subscription", node.subscriptions),
             ("service", node.services), ("timer", node.timers), ("guard_condition", node.guards),
         ) for one in there}  # fmt: skip
+
+
+def placed(
+    seen: LaserScan | Cloud, settings: Settings, name: str, mount: Pose2D | None,
+    link: FloatArray | None,
+) -> LaserScan:  # fmt: skip
+    """The scan of a laser, or the slice of a cloud, cut and mounted.
+
+    The sensor sits at `mount`, or where `link` (4, 4), its pose on the base, has it.
+    """
+    turned = settings.flipped if link is None else bool(link[2, 2] < 0)
+    if isinstance(seen, Cloud):
+        low, high = settings.height
+        turned, seen = turned and link is None, seen.scan((low, high), link)
+        mount = seen.T_base_laser if mount is None else mount
+    elif link is not None:
+        mount = Pose2D(*planar(link))
+    scan = seen.flipped if turned else seen
+    reach = min(scan.range_max, settings.range_max)
+    return replace(scan, range_max=reach, T_base_laser=mount, laser=name)
 
 
 def _still(then: Pose2D, here: Pose2D) -> bool:

@@ -1,7 +1,6 @@
 """Settings of the ROS 2 node: options of the command, and ROS parameters of the same fields."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -10,7 +9,7 @@ from imgloc.numbers import number
 from imgloc.options import Flipped, Metres, Place, Radians, Share
 from imgloc.pose import Pose2D, check_mount
 from imgloc.ranges import Checked, Doc, Matches, Within, option
-from imgloc.texts import pose
+from imgloc.texts import numbers, pose
 
 _Frame = Annotated[str, Matches(r"/*[^/]+.*", 1000, "the name of a frame")]
 _Topic = Annotated[str, Matches(r".+", 1000, "the name of a topic")]
@@ -41,6 +40,10 @@ class Measured(Checked):
 MEASURED = Measured()
 
 
+def _topics(text: str) -> tuple[str, ...]:
+    return tuple(text.split(","))
+
+
 @dataclass(frozen=True)
 class Rules(Checked):
     """How often a first pose is tried, and what of it is published."""
@@ -64,18 +67,35 @@ class Rules(Checked):
 class Settings(Rules):
     """What the node does; each field is a ROS parameter of its name."""
 
-    scan_topics: Sequence[_Topic] = option(
-        ("scan",),
-        "Topic of a laser. Repeat it for several lasers.",
+    scan_topics: tuple[_Topic, ...] = option(
+        (),
+        "Topic of a laser. Repeat it for several lasers. [default: scan, or none with --cloud]",
         "--scan",
         metavar="TOPIC",
-        parse=lambda text: tuple(text.split(",")),
+        parse=_topics,
         joined=True,
+    )
+    cloud_topics: tuple[_Topic, ...] = option(
+        (),
+        "Topic of a 3-D lidar or depth camera, whose clouds of points are cut at --height. Repeat "
+        "it for several.",
+        "--cloud",
+        metavar="TOPIC",
+        parse=_topics,
+        joined=True,
+    )
+    height: tuple[Place, ...] = option(
+        (),
+        "Points of a cloud between the heights MIN and MAX are a scan: metres above base_frame by "
+        "tf; with --sensor, above the sensor, which is level then.",
+        metavar="MIN,MAX",
+        parse=numbers(2),
     )
     sensor: tuple[Place, ...] = option(
         (),
         "Pose of the laser on the robot: metres, metres, radians (or 90deg). Repeat it for several "
-        "lasers, in the order of their topics. [default: tf says it, if tf2_msgs is installed]",
+        "lasers, in the order of their topics, clouds last. [default: tf says it, if tf2_msgs is "
+        "installed]",
         metavar="X,Y,YAW",
         parse=_poses,
         joined=True,
@@ -124,15 +144,26 @@ class Settings(Rules):
         if self.tf and not self.track:
             raise ConfigError("Settings.tf: expected track, too: map -> odom is of the tracker")
 
+        if bool(self.cloud_topics) != bool(self.height):
+            raise ConfigError("Settings.height: expected with cloud_topics, and they with it")
+        if self.height and not (len(self.height) == 2 and self.height[0] < self.height[1]):
+            raise ConfigError(f"Settings.height: got {self.height}, expected a lower end first")
+
+    @property
+    def topics(self) -> list[tuple[str, bool]]:
+        """The topics of lasers, and then of clouds; and whether each is of clouds."""
+        lasers = self.scan_topics or (() if self.cloud_topics else ("scan",))
+        return [(one, False) for one in lasers] + [(one, True) for one in self.cloud_topics]
+
     @property
     def mounts(self) -> list[Pose2D] | None:
         """Where each laser sits; None if tf has to say it."""
         if not self.sensor:
             return None
-        if len(self.sensor) != 3 * len(self.scan_topics):
+        if len(self.sensor) != 3 * len(self.topics):
             raise ConfigError(
                 f"sensor: got {len(self.sensor)} numbers, expected x, y, yaw for each of "
-                f"{len(self.scan_topics)} scan_topics"
+                f"{len(self.topics)} topics"
             )
         at = self.sensor
         mounts = [Pose2D(*at[k : k + 3]) for k in range(0, len(at), 3)]

@@ -264,7 +264,10 @@ def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
         ({"scan_timeout": NAN}, "scan_timeout: got nan"),
         ({"least_deviation": (1.0,)}, "least_deviation: got (1.0,), expected 2 values"),
         ({"least_deviation": (NAN, 1.0)}, "least_deviation[0]: got (nan, 1.0), expected metres"),
-        ({"scan_topics": ()}, "scan_topics: got (), expected at least one value"),
+        (
+            {"cloud_topics": ("a",), "height": (0.4, 0.2)},
+            "height: got (0.4, 0.2), expected a lower",
+        ),
         ({"map_frame": "/"}, "map_frame: got '/', expected the name of a frame"),
         ({"sensor": (0.0, 0.0, INF)}, "sensor[2]: got (0.0, 0.0, inf), expected metres"),
     ],
@@ -289,7 +292,7 @@ def test_each_parameter_has_the_text_the_limits_and_the_default_of_its_option(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--scan", "bad topic"), "parameter scan_topics: got 'bad topic': Invalid topic name"),
+        (("--scan", "bad topic"), "topic: got 'bad topic': Invalid topic name"),
         (("--ros-args", "-p", "sensor:=['a','b','c']"), "parameter sensor[0]: got ('a', 'b', 'c')"),
         (("--ros-args", "-p", "least_deviation:=[1.0]"), "parameter least_deviation: got (1.0,)"),
     ],
