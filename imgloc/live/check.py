@@ -1,6 +1,7 @@
 """A robot that runs, looked at for some seconds: what is wrong with its topics, and what to do."""
 
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,12 +14,7 @@ from imgloc.answers.diagnose import doubts
 from imgloc.errors import ImglocError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.clouds import seen_in_msg
-from imgloc.io.messages import (
-    frame_name,
-    grid_from_msg,
-    link_of,
-    seconds_of,
-)
+from imgloc.io.messages import frame_name, grid_from_msg, link_of, seconds_of
 from imgloc.io.scanset import ScanSet
 from imgloc.live.node import placed, ros_node
 from imgloc.live.settings import Settings
@@ -30,6 +26,7 @@ from imgloc.robot.frames import Frames
 
 SECONDS = 10.0
 """How long is listened."""
+_KEPT = 30  # messages of a topic: clouds are large
 _SCANS = 3  # that are looked for on the map
 _SLOW = {"LaserScan": 1.0, "PointCloud2": 1.0, "Odometry": 5.0}  # messages a second at least
 
@@ -49,7 +46,7 @@ class _Heard:
 
     name: str  #: with namespace and remapping
     kind: str
-    messages: list[Any] = field(default_factory=list)
+    messages: deque[Any] = field(default_factory=lambda: deque(maxlen=_KEPT))
     times: list[float] = field(default_factory=list)  # monotonic seconds
     ages: list[float] = field(default_factory=list)  # seconds of the stamps
 

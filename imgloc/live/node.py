@@ -41,10 +41,11 @@ from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Sighting, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
-from imgloc.live.settings import MEASURED, Settings
+from imgloc.live.settings import CHANGING, MEASURED, Settings
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
+    HINTED,
     OK,
     WARN,
     Found,
@@ -53,6 +54,7 @@ from imgloc.live.status import (
     found_of,
     health,
     status_row,
+    weighed,
 )
 from imgloc.model import (
     FloatArray,
@@ -64,7 +66,7 @@ from imgloc.model import (
     inverse,
     to_json,
 )
-from imgloc.options import Options
+from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Options
 from imgloc.ranges import declared
 from imgloc.robot.frames import Frames
 from imgloc.robot.odometry import Odometry
@@ -89,6 +91,7 @@ _WAITING = 100  # scans that wait so, of all lasers
 _ANSWERED = 15.0  # seconds that ~/localize waits for a pose at most
 _MOVES = 4000  # poses of the odometry, and of a link of tf, remembered: 20 s of 200 a second
 _CLAIMS = 200  # poses of the localizer that is watched, remembered
+_HINTS = 20  # poses on ~/hint, remembered
 _SAVED = 1.0  # seconds between two writes of the pose that is remembered
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
@@ -132,11 +135,19 @@ def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
         if name in given:
             node.undeclare_parameter(name)
         about = ros.rcl_interfaces.ParameterDescriptor(
-            dynamic_typing=True, read_only=True, description=one.text,
+            dynamic_typing=True, read_only=name not in CHANGING, description=one.text,
             additional_constraints="" if one.limit is None else str(one.limit),
         )  # fmt: skip
         plain = list(default) if isinstance(default, tuple) else default
-        value = node.declare_parameter(name, plain, about).value
+        said[name] = node.declare_parameter(name, plain, about).value
+    return _changed(settings, said)
+
+
+def _changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
+    """The settings with the values of some ROS parameters; ConfigError for a wrong one."""
+    said = dict[str, Any]()
+    for name, value in values.items():
+        default = getattr(settings, name)
         if isinstance(default, tuple):
             value = (value,) if isinstance(value, str | int | float) else tuple(value or ())
         elif isinstance(default, float) and type(value) is int:
@@ -146,6 +157,22 @@ def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
         return replace(settings, **said)
     except ConfigError as error:
         raise ConfigError(f"parameter {str(error).removeprefix('Settings.')}") from None
+
+
+def on_change(ros: Any, settings: Settings, told: Callable[[Settings], None]) -> Callable[..., Any]:
+    """Return what takes ROS parameters while the node runs; a refusal has the reason."""
+
+    def change(parameters: Sequence[Any]) -> Any:
+        nonlocal settings
+        own = {one.name: one.value for one in parameters if one.name in CHANGING}
+        try:
+            settings = _changed(settings, own)
+        except ConfigError as error:
+            return ros.rcl_interfaces.SetParametersResult(successful=False, reason=str(error))
+        told(settings)
+        return ros.rcl_interfaces.SetParametersResult(successful=True)
+
+    return change
 
 
 @dataclass(eq=False)
@@ -255,6 +282,7 @@ class LocalizerNode:
         self._moved = False  # whether there is odometry
         self._stood: Pose2D | None = None  # where a robot that stands was looked at, by odometry
         self._sure_at: tuple[float, Pose2D] | None = None  # stamp and map_odom of that pose
+        self._hints = deque[tuple[float, Hint]](maxlen=_HINTS)  # of the base, map frame, at a time
         self._claims = deque[tuple[float, Pose2D]](maxlen=_CLAIMS)  # of who is watched
         self._watch: Watch | None = None
         self._judging: Future[Opinion] | None = None
@@ -303,6 +331,7 @@ class LocalizerNode:
         say = node.create_publisher
         geometry = ros.geometry_msgs
         stamped = geometry.PoseWithCovarianceStamped
+        self._hear(stamped, "~/hint", self._on_hint, 10)
         if self.settings.watch not in ("", "tf"):
             reliably = qos.QoSProfile(depth=10, reliability=reliable)
             self._hear(stamped, self.settings.watch, self._on_claim, reliably)
@@ -529,6 +558,7 @@ class LocalizerNode:
         self._again()
         self.found, self._sure = None, False
         self._moves.clear()
+        self._hints.clear()
         self._move_stamps.start()
         self._first, self._moved = math.inf, False
         self._frames.forget()
@@ -552,8 +582,10 @@ class LocalizerNode:
         """Ask a scan alone: on which floor it is, or where a robot stands."""
         floors = self._robot.map is None and len(self.core.names) > 1
         future: Future[Any]
+        known = Known(hints=self._hinted(scan.stamp, scan.T_base_laser))
         try:
-            future = self.core.which_soon(scan) if floors else self.core.localize_soon(scan)
+            ask = self.core.which_soon if floors else partial(self.core.localize_soon, known=known)
+            future = ask(scan)
         except Dropped:  # another map has come meanwhile
             self.first.answered()
             return
@@ -657,9 +689,36 @@ class LocalizerNode:
             self._kept.save(self.settings.remember)
 
     def _on_claim(self, message: Any) -> None:
-        if frame_name(message.header.frame_id) not in ("", self._map_frame):
-            raise ConfigError(f"frame_id: expected {self._map_frame}")
-        self._claims.append((seconds_of(message.header.stamp), pose_of(message.pose.pose)))
+        self._claims.append((seconds_of(message.header.stamp), self._given(message)[0]))
+
+    def _given(self, message: Any) -> tuple[Pose2D, tuple[float, float]]:
+        """Pose and standard deviations of a message that somebody sends; ConfigError in no map."""
+        frame, given = frame_name(message.header.frame_id), message.pose
+        if frame not in ("", self._map_frame):
+            raise ConfigError(f"frame_id: got {printable(frame)!r}, expected {self._map_frame}")
+        covariance = np.reshape(given.covariance, (6, 6))[np.ix_(_PLANE, _PLANE)]
+        return pose_of(given.pose), deviations_of(covariance)
+
+    def _on_hint(self, message: Any) -> None:
+        """Take a pose of the base that somebody thinks of: a tag, a QR code, radio."""
+        pose, (metres, radians) = self._given(message)
+        least, turn = self.settings.least_deviation
+        metres = max(metres or RADIUS, least, 0.01)  # a covariance of 0 is one that is not known
+        radians = min(max(radians or TOLERANCE, turn, 0.001), math.pi)
+        hint = Hint(pose.x, pose.y, pose.theta, metres, radians)
+        self._hints.append((seconds_of(message.header.stamp), hint))
+
+    def _hinted(self, stamp: float, mount: Pose2D | None = None) -> tuple[Hint, ...]:
+        """The young hints, carried by the odometry to a time; of the sensor at `mount`."""
+        out, here = list[Hint](), self._odometry(stamp)
+        for then, hint in self._hints:
+            if abs(stamp - then) <= self.settings.max_age:
+                pose, before = Pose2D(hint.x, hint.y, hint.theta), self._odometry(then)
+                if before is not None and here is not None:
+                    pose = compose(pose, compose(inverse(before), here))
+                pose = pose if mount is None else compose(pose, mount)
+                out.append(replace(hint, x=pose.x, y=pose.y, theta=pose.theta))
+        return tuple(out)
 
     def _judge(self, asked: _Asked, moment: Moment, site: Site) -> None:
         """Hold the last pose of the localizer that is watched against a scan."""
@@ -710,9 +769,11 @@ class LocalizerNode:
         moment = answer.value
         site = self.core.site(answer.map, timeout=0)
         found = found_along(moment, site.features.grid.origin, answer.map, asked.scan)
+        found = weighed(found, self._hinted(moment.stamp), self.core.options.trust.mass)
         if self.settings.watch:
             self._judge(asked, moment, site)
-        sure = moment.pose is not None and self.first.fresh(moment.stamp, self.now)
+        fresh = self.first.fresh(moment.stamp, self.now)
+        sure = moment.pose is not None and found.why != HINTED and fresh
         self._took = self.now - moment.stamp
         self._followed = self._followed or sure
         if sure and moment.map_odom is not None:
@@ -908,13 +969,15 @@ class LocalizerNode:
         return response
 
     def _start_at(self, message: Any) -> None:
-        frame, given = frame_name(message.header.frame_id), message.pose
-        if frame not in ("", self._map_frame):
-            raise ConfigError(f"frame_id: got {printable(frame)!r}, expected {self._map_frame}")
-        pose = pose_of(given.pose)
-        deviation = deviations_of(np.reshape(given.covariance, (6, 6))[np.ix_(_PLANE, _PLANE)])
+        pose, deviation = self._given(message)
         self._robot.start_at(pose, deviation)
         self.node.get_logger().info(f"follows the robot from {pose}")
+
+    def change(self, settings: Settings) -> None:
+        """Go on with other values of the parameters that may change."""
+        self.settings = self.first.rules = settings
+        for stamps in (self._move_stamps, *(laser.stamps for laser in self.lasers)):
+            stamps.most = settings.max_age
 
     def close(self) -> None:
         """Say and hear nothing any more."""
@@ -1075,8 +1138,19 @@ def run_node(
                 clock=lambda: float(node.get_clock().now().nanoseconds) * 1e-9,
             )  # fmt: skip
 
+        running = list[LocalizerNode]()
+
+        def told(changed: Settings) -> None:
+            nonlocal settings
+            settings = changed
+            for one in running:
+                one.change(settings)
+
+        node.add_on_set_parameters_callback(on_change(ros, settings, told))
+
         def start(core: Localizer) -> LocalizerNode:
-            return LocalizerNode(ros, node, settings, core, from_topic=not makers)
+            running[:] = [LocalizerNode(ros, node, settings, core, from_topic=not makers)]
+            return running[0]
 
         if lifecycle:
             undo.callback(managed(ros, node, prepare, start).on_cleanup, None)

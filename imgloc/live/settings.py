@@ -63,6 +63,11 @@ class Rules(Checked):
     )
 
 
+#: parameters that may change while the node runs
+CHANGING = {"every", "metres", "tries", "max_age", "scan_timeout", "least_deviation", "standing",
+            "range_max", "height"}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Settings(Rules):
     """What the node does; each field is a ROS parameter of its name."""
@@ -86,8 +91,8 @@ class Settings(Rules):
     )
     height: tuple[Place, ...] = option(
         (),
-        "Points of a cloud between the heights MIN and MAX are a scan: metres above base_frame by "
-        "tf; with --sensor, above the sensor, which is level then.",
+        "Points of a cloud between the heights MIN and MAX are a scan: metres over base_frame by "
+        "tf; with --sensor, over the sensor, which is level then.",
         metavar="MIN,MAX",
         parse=numbers(2),
     )
@@ -114,7 +119,7 @@ class Settings(Rules):
     #: a localizer that starts from it needs room for its own errors
     least_deviation: Annotated[
         tuple[Metres, Radians],
-        Doc("Least standard deviations of /initialpose, metres and radians."),
+        Doc("Least standard deviations of /initialpose and ~/hint, metres and radians."),
     ] = (0.1, 0.05)
     track: bool = option(False, "Follow the robot, too, on the topics ~/pose and ~/map_odom.")
     tf: bool = option(False, "With --track, also publish map -> odom on /tf, as AMCL does.")

@@ -17,8 +17,8 @@ from imgloc.errors import ConfigError
 from imgloc.live.localizer import Localizer
 from imgloc.live.node import LocalizerNode, load_ros, with_parameters
 from imgloc.live.settings import Measured, Settings
-from imgloc.live.status import ERROR
-from imgloc.options import Options, Sensor
+from imgloc.live.status import ERROR, Found, weighed
+from imgloc.options import TOLERANCE, Hint, Options, Sensor
 from imgloc.ranges import declared
 from imgloc.simulation.scans import simulate
 
@@ -183,6 +183,36 @@ def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
     node._on_transforms(SimpleNamespace(transforms=[link]))
     heard.send("scan", heard.scan())
     assert laser.frame == ""  # it is left out
+
+
+def test_hints_move_with_the_robot_and_some_cannot_be(heard: Heard) -> None:
+    heard.send("map", heard.map())
+    heard.until(lambda: heard.core.ready)
+    heard.send("odom", at := heard.odometry())
+    message = heard.stamped(heard.ros.geometry_msgs.PoseWithCovarianceStamped(), "map")
+    message.header.stamp = at.header.stamp
+    message.pose.covariance[0] = message.pose.covariance[7] = 0.25
+    for x in (NAN, 2.0):
+        message.pose.pose.position.x = x
+        heard.send("imgloc/hint", message)
+    message.header.frame_id = "odom"
+    heard.send("imgloc/hint", message)
+    heard.send("odom", heard.odometry(1.0))
+    (hint,) = heard.node._hinted(heard.node._moves.last, imgloc.Pose2D(0.5, 0.0))
+    assert (hint.x, hint.y, hint.metres) == pytest.approx((3.5, 0.0, 0.5))
+    assert hint.radians == TOLERANCE  # nobody said how sure the heading is
+    assert not heard.node._hinted(heard.node._moves.last + 100)
+    start, *_ = found = weighed_by(hint)
+    assert [one.verdict for one in found] == ["unique", "ambiguous", "unique"]
+    assert (found[1].why, found[2].masses > start.masses) == ("hinted", True)
+
+
+def weighed_by(hint: Hint) -> tuple[Found, ...]:
+    """A unique answer: as it is, with a hint at its second place, and with one at its first."""
+    here, there = imgloc.Pose2D(hint.x, hint.y), imgloc.Pose2D(hint.x + 9, hint.y)
+    found = Found(1.0, "map", "unique", (there, here), (0.95, 0.05), np.eye(3))
+    other = replace(found, poses=(here, there))
+    return found, weighed(found, (hint,), 0.9), weighed(other, (hint,), 0.9)
 
 
 def test_poses_are_in_the_frame_of_a_map_that_lies_anywhere(heard: Heard) -> None:

@@ -219,6 +219,37 @@ def test_a_laser_that_repeats_one_scan_is_given_up(field, log, what, said, level
     assert not field.heard("initialpose")
 
 
+SET = """
+import sys, rclpy
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+rclpy.init()
+client = AsyncParameterClient(node := rclpy.create_node("setter"), "imgloc")
+assert client.wait_for_services(30)
+asked = client.set_parameters([Parameter(sys.argv[1], value=eval(sys.argv[2]))])
+rclpy.spin_until_future_complete(node, asked, timeout_sec=30)
+print(asked.result().results[0].reason or "done")
+"""
+
+
+def test_parameters_change_while_it_runs_or_say_why_not(field, log) -> None:
+    field.listen()
+    field.node(MAP, "--sensor", SENSOR, "--tries", 10_000)
+    field.play(MAP, log, "--no-map", "--freeze", "ranges")
+    field.until(lambda: field.heard("status") and field.heard("status")[-1]["tries"] > 6)
+    for name, value, said in (
+        ("tries", "-1", "parameter tries: got -1, expected a whole number, scans, 2"),
+        ("track", "True", "read-only"), ("max_age", "[1.0]", "max_age: got"),
+        ("tries", "6", "done"),
+    ):  # fmt: skip
+        command = [sys.executable, "-c", SET, name, value]
+        done = subprocess.run(command, env=field.around, capture_output=True, timeout=LONG)
+        assert said in done.stdout.decode(), done.stderr
+        given_up = any(one["state"] == "given up" for one in field.heard("status"))
+        assert said == "done" or not given_up
+    field.until(lambda: field.heard("status")[-1]["state"] == "given up")
+
+
 @pytest.mark.parametrize("wrong", ["nan", "empty", "short", "zero", "unstamped"])
 def test_no_pose_has_the_stamp_of_a_scan_that_says_nothing(field, log, wrong) -> None:
     field.listen()
