@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from imgloc.model import BoolArray, FloatArray, LaserScan, Temperature
 
     _Cells = BoolArray
+    _Weights = FloatArray
 else:  # help reads the fields, and has no time for NumPy
-    _Cells = Any
+    _Cells = _Weights = Any
 
 Metres = Annotated[float, Within(0, 1e6, "metres")]
 Length = Annotated[float, Within(1e-4, 1e6, "metres")]  #: of something that has one
@@ -129,9 +130,25 @@ def _default(method: str) -> Calibration:
 DEFAULTS: Mapping[str, Calibration] = MappingProxyType({name: _default(name) for name in METHODS})
 
 
+@dataclass(frozen=True)
+class Hint(Checked):
+    """A pose that is roughly known, by a tag or by radio: a Gaussian, which excludes nothing."""
+
+    x: Place = 0.0
+    y: Place = 0.0
+    theta: Heading = 0.0
+    metres: Radius = RADIUS  #: standard deviation, along each axis
+    radians: Turn = TOLERANCE  #: standard deviation of the heading
+    weight: Annotated[float, Within(0.001, 1, "a weight")] = 1.0  #: at the pose itself
+
+
 @dataclass(frozen=True, eq=False)
 class Prior(ByContent, Checked):
-    """A set of poses; None is all of them.
+    """A set of poses, None being all of them, and a weight of each.
+
+    Poses outside of the set are not looked for. A weight multiplies the mass of a pose, but a pose
+    is ``unique`` only if the scan alone finds it so. ``&`` joins what is known independently; with
+    ``|`` one of several hints is right.
 
     Examples
     --------
@@ -146,13 +163,19 @@ class Prior(ByContent, Checked):
     heading: tuple[Heading, Radians] | None = None
     #: what it was made of, as plain values, for the record
     about: Mapping[str, object] = field(default_factory=dict)
+    weights: _Weights | None = None  #: (H, W) of the sensor in each cell, 0..1; at 0 is no pose
+    #: of each group one is right, or none; grid frame
+    hints: tuple[tuple[Hint, ...], ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.cells is not None:
-            from imgloc.model import freeze
+        for name, kind in (("cells", "bool"), ("weights", "float32")):
+            if getattr(self, name) is not None:
+                from imgloc.model import freeze
 
-            freeze(self, "bool", "cells")
+                freeze(self, kind, name)
+        if self.weights is not None and not ((self.weights >= 0) & (self.weights <= 1)).all():
+            raise ConfigError("Prior.weights: expected 0 to 1 in each cell")
 
     def __and__(self, other: "Prior") -> "Prior":
         """The poses that both allow; a ConfigError if both state a heading."""
@@ -162,8 +185,18 @@ class Prior(ByContent, Checked):
             raise ConfigError("the heading is given twice: by a pose and on its own")
         given = [c for c in (self.cells, other.cells) if c is not None]
         cells = np.logical_and.reduce(given) if given else None
+        grey = [w for w in (self.weights, other.weights) if w is not None]
+        weights = np.multiply.reduce(grey) if grey else None
         heading = self.heading if self.heading is not None else other.heading
-        return Prior(cells, heading, {**self.about, **other.about})
+        hints, about = self.hints + other.hints, {**self.about, **other.about}
+        return Prior(cells, heading, about, weights, hints)
+
+    def __or__(self, other: "Prior") -> "Prior":
+        """One of the hints of both; a ConfigError if either is more than one group of hints."""
+        if any(one != Prior(hints=one.hints[:1], about=one.about) for one in (self, other)):
+            raise ConfigError("`|` joins hints: expected poses with `sd`")
+        some = sum(self.hints + other.hints, ())
+        return Prior(hints=(some,), about={"hints": [vars(one) for one in some]})
 
     def admits(self, poses: "FloatArray", resolution: float) -> "BoolArray":
         """Which poses (C, 3), grid frame, are in the set: (C,) bool."""
@@ -723,6 +756,18 @@ class Known(Checked):
         "Consider only poses at least this far from walls and unknown space, metres: the radius "
         "of the robot. [default: 0]",
     )
+    sd: tuple[Radius, Turn] | None = option(
+        None,
+        "Standard deviations of --near, metres and radians (or 10deg): poses nearer to it weigh "
+        "more, none is excluded, and none is unique by it. [default: those beyond R and T are]",
+        metavar="M,RAD",
+    )
+    hints: Annotated[tuple[Hint, ...], Doc("Poses of which one is roughly right, map frame.")] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sd is not None and (self.near or ())[3:] != (RADIUS, TOLERANCE):
+            raise ConfigError("`sd`: expected with `near`, of x, y and yaw alone")
 
 
 Sweeps = Annotated[str, OneOf("no", "forward", "backward")]

@@ -76,9 +76,27 @@ def test_a_region_is_as_the_map_is_seen(scans: Path, tmp_path: Path) -> None:
     assert row["parameters"]["prior"]["region"] == {"cells": 2400}
 
 
+def test_what_may_be_wrong_weighs_and_makes_nothing_unique(scans: Path, tmp_path: Path) -> None:
+    plain = first(scans)
+    grey = np.full((140, 200), 26, np.uint8)
+    grey[-40:, :60] = 255
+    write_bytes_atomic(tmp_path / "grey.png", encode_png(grey))
+    for some in (("--near=2.5,1.5,-1.7", "--sd", "0.5,10deg"),
+                 ("--prior-image", tmp_path / "grey.png")):  # fmt: skip
+        row = first(scans, *some)
+        assert row["hypotheses"][0]["mass"] >= plain["hypotheses"][0]["mass"]
+        assert (row["verdict"], away(row, scans) < 0.1) == (plain["verdict"], True)
+    write_bytes_atomic(tmp_path / "other.png", encode_png(255 - grey + 26))
+    best = first(scans, "--prior-image", tmp_path / "other.png")["hypotheses"][0]
+    assert best["x"] > 6 or best["y"] > 4
+
+
 @pytest.mark.parametrize(
     ("options", "code", "expected"),
     [
+        (("--near", "1,2,0,3", "--sd", "0.5,10deg"), 2, "--sd: expected with --near, of x, y"),
+        (("--near", "1,2,0", "--sd", "0.5"), 2, "--sd: got '0.5', expected 2 numbers"),
+        (("--prior-image", MAPS / "curved.png"), 2, "expected 200 x 140"),
         (("--near", "1,2"), 2, "3 to 5 numbers"),
         (("--near", "1,2,3,-4"), 2, "--near: got R -4"),
         (("--near", "1,2,3", "--heading", "1"), 2, "given twice"),

@@ -24,6 +24,7 @@ from imgloc.options import (
     EvidenceModel,
     Followed,
     FusedOptions,
+    Hint,
     Known,
     Limits,
     Logs,
@@ -41,7 +42,7 @@ from imgloc.runs.jobs import make_job
 from imgloc.runs.opening import ScanFiles
 
 SHOWN = (Chosen, Drawn, Every, Followed, Known, Limits, Logs, Mounting, Sensor)
-KINDS = (Bending, Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
+KINDS = (Bending, Calibration, EvidenceModel, FusedOptions, Hint, Options, Prior, Shared, Trust)
 OTHERS = (
     GridOptions,
     MotionNoise,
@@ -77,6 +78,11 @@ OTHERS = (
         (lambda: EvidenceModel(sigmas=(0.1, 0.0)), "EvidenceModel.sigmas[1]"),
         (lambda: EvidenceModel(hit="most"), "EvidenceModel.hit: got 'most', expected a share"),  # type: ignore[arg-type]
         (lambda: Prior(heading=(0.0, -1.0)), "Prior.heading[1]: got (0.0, -1.0), expected radian"),
+        (lambda: Hint(0, 0, 0, weight=2.0), "Hint.weight: got 2.0, expected a weight, 0.001 to 1"),
+        (lambda: Known(sd=(0.5, 0.2)), "`sd`: expected with `near`"),
+        (lambda: Known((0, 0, 0, 9.0, 0.8), sd=(0.5, 0.2)), "`sd`: expected with `near`, of x"),
+        (lambda: Prior(heading=(0.0, 1.0)) | Prior(), "`|` joins hints: expected poses with `sd`"),
+        (lambda: Prior(weights=np.array([[2.0]])), "Prior.weights: expected 0 to 1"),
         (lambda: TrackerOptions(agree=(2, 0)), "TrackerOptions.agree[1]: got (2, 0)"),
         (
             lambda: GridOptions(method="fused"),

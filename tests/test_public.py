@@ -256,8 +256,8 @@ def test_the_guide_to_own_parts_runs(capsys):
     names: dict[str, object] = {}
     for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
         exec(compile(block, "extending.md", "exec"), names)
-    near, own, *moments = capsys.readouterr().out.splitlines()
-    assert near.startswith("<Localization unique: x ")
+    near, tags, own, *moments = capsys.readouterr().out.splitlines()
+    assert all(one.startswith("<Localization unique: x ") for one in (near, tags))
     assert own.startswith("<Localization ")
     x, y, _ = names["scans"].poses[0]
     answer = imgloc.localize(names["features"], names["scan"], names["options"],

@@ -1,20 +1,36 @@
 """Priors: which poses are in them, and what a search makes of them."""
 
+import os
+from collections import Counter
+
 import numpy as np
 import pytest
 
+import imgloc
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
-from imgloc.model import GridInfo, LaserScan, OccupancyGrid
-from imgloc.options import ALL_METHODS, FusedOptions, Known, Options, Prior, Sensor
+from imgloc.geometry import pose_errors, poses_of
+from imgloc.model import GridInfo, LaserScan, OccupancyGrid, Pose2D
+from imgloc.options import (
+    ALL_METHODS,
+    RADIUS,
+    TOLERANCE,
+    FusedOptions,
+    Known,
+    Options,
+    Prior,
+    Sensor,
+)
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import (
+    ASTRAY,
     clearance,
     near,
     nearest,
     on_lattice,
     prior_of,
     pyramid_levels,
+    ranked,
 )
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
@@ -206,8 +222,9 @@ def closed_room(width: float, height: float, pose: tuple[float, float, float]) -
         Known(heading=(0.0, np.pi)),
         Known(heading=(1.0, 0.5)),
         Known(near=(5.0, 7.0, 0.0, 3.0, 1.6)),
+        Known(near=(5.0, 7.0, 0.0, RADIUS, TOLERANCE), sd=(0.5, 0.2)),
     ],
-    ids=["nothing", "1 cm", "30 cm", "any heading", "a heading", "a place"],
+    ids=["nothing", "1 cm", "30 cm", "any heading", "a heading", "a place", "a rough place"],
 )
 def test_what_is_known_lets_no_room_in_that_is_on_no_map(visibility, known):
     features, _ = visibility
@@ -229,3 +246,71 @@ def test_a_prior_without_a_pose_is_refused(visibility):
     nowhere = Prior(np.zeros(features.grid.occupied.shape, bool))
     with pytest.raises(ConfigError, match="leaves no cell"):
         localize(features, scans[0], Options(prior=nowhere))
+
+
+SCANS = int(os.environ.get("IMGLOC_SCANS", "5"))
+"""Scans of each world; tools/docs/measured/hints-2026-11-26.md has 67 of each."""
+
+
+def off(answer, truth) -> bool:
+    """Whether the best pose is beyond half a metre or 10 degrees."""
+    away = pose_errors(poses_of(answer.hypotheses)[:1], Pose2D(*truth))
+    return not len(away) or bool((away[0] > (0.5, np.deg2rad(10))).any())
+
+
+def hostile(features, answer, truth, rng):
+    """Priors by name: at the best place that is wrong, or at any, and at the right one."""
+    poses, grid = poses_of(answer.hypotheses), features.grid
+    away = (pose_errors(poses, Pose2D(*truth)) > (1.0, 0.3)).any(axis=1)
+    free = np.argwhere(features.standable)[:, ::-1]
+    anywhere = (*grid.resolution * (free[rng.integers(len(free))] + 0.5), rng.uniform(-3, 3))
+    at = poses[away][0] if away.any() else np.array(anywhere)
+    x, y = (np.arange(n) * grid.resolution for n in grid.occupied.shape[::-1])
+    square = np.add.outer(np.square(y - at[1]), np.square(x - at[0]))
+    rough = imgloc.near(features, *at, sd=(0.5, 0.17))
+    return {
+        "--near": imgloc.near(features, *at, radius=1.0, tolerance=0.4),
+        "--near --sd": rough,
+        "two hints": rough | imgloc.near(features, *poses[-1], sd=(1.0, 0.5), weight=0.3),
+        "grey image": imgloc.region(features, np.maximum(np.exp(-square / 2), 0.01)),
+        "black elsewhere": imgloc.region(features, (square < 2.25).astype(float)),
+        "right hint": imgloc.near(features, *(truth + (0.2, 0.2, 0.05)), sd=(0.5, 0.17)),
+    }
+
+
+@pytest.mark.parametrize("name", ["corridor", "visibility", "double_wall"])
+def test_no_weight_makes_a_wrong_pose_unique(name):
+    features = prepare(imgloc.load_map(name))
+    scans = simulate(features.grid, SCANS, 11, Sensor(range_max=6.0))
+    rng, counts = np.random.default_rng(11), {}
+    for scan, truth in zip(scans.scans, scans.poses, strict=True):
+        plain = localize(features, scan)
+        answers = {"none": plain}
+        for key, prior in hostile(features, plain, truth, rng).items():
+            answers[key] = localize(features, scan, Options(prior=prior))
+        for key, answer in answers.items():
+            wrong = off(answer, truth)
+            verdict = answer.verdict + " and wrong" * (wrong and answer.verdict == "unique")
+            counts.setdefault(key, Counter()).update([verdict, *["right first"] * (not wrong)])
+            if key not in ("none", "--near") and answer.verdict == "unique":
+                assert plain.verdict == "unique", key
+                assert answer.best == plain.best, key
+        black = answers["black elsewhere"]
+        assert black.verdict != "unique" or not off(black, truth)
+    print(*(f"{name} | {key} | {dict(some)}" for key, some in counts.items()), sep="\n")
+    assert counts["right hint"]["right first"] >= counts["none"]["right first"]
+    assert counts["right hint"]["unique"] == counts["none"]["unique"]
+
+
+def test_hints_carry_their_doubt():
+    grid = OccupancyGrid(np.zeros((4, 9), bool), np.ones((4, 9), bool), 1.0, Pose2D(5.0, 0.0))
+    both = imgloc.near(grid, 6.5, 1.0, 0.0, sd=(0.5, 0.2)) | imgloc.near(
+        grid, 13.0, 1.0, 3.0, sd=(0.5, 0.2), weight=0.5
+    )
+    assert [(one.x, one.weight) for one in both.hints[0]] == [(1.5, 1.0), (8.0, 0.5)]
+    poses = np.array([[4.0, 1.0, 0.0], [8.0, 1.0, 3.0 - 2 * np.pi], [1.5, 1.5, 0.0]])
+    order, share = ranked(both, poses, np.array([0.8, 0.1, 0.1]), 1.0)
+    weights = np.array([0.8 * ASTRAY, 0.1 * 0.5, 0.1 * np.exp(-0.5)])
+    assert order.tolist() == np.argsort(-weights).tolist()
+    np.testing.assert_allclose(share, np.sort(weights / weights.sum())[::-1])
+    assert not ranked(Prior(weights=np.zeros((4, 9))), poses, np.ones(3), 1.0)[1].any()

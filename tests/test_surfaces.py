@@ -22,7 +22,8 @@ KINDS = (
 )  # fmt: skip
 #: Parameters of requests that no command has: names and ids, one scan of what was sent, a pose.
 OWN = {"map", "scans", "name", "topic", "index", "pose", "scale", "thinner", "bent", "allow_lossy",
-       "start", "count", "slice", "step", "headings", "at", "places", "region"}  # fmt: skip
+       "start", "count", "slice", "step", "headings", "at", "places", "region",
+       "hints"}  # fmt: skip
 
 
 def typed() -> dict[str, set[str]]:

@@ -61,6 +61,12 @@ def localize(
         "map's. [default: anywhere]",
         metavar="PNG",
     ),
+    prior_image: Path | None = option(
+        None,
+        "Weights of positions: the greys of this image, which has the size of the map's, white 1, "
+        "black 0. None is unique by its weight. [default: all alike]",
+        metavar="PNG",
+    ),
     as_json: opt.AsJson = False,
     picture: opt.Picture = None,
     explain: Path | None = option(
@@ -89,7 +95,7 @@ def localize(
         raise ConfigError(f"--engine: {search.method} does not correlate; use cbml or cbml-o")
     if list(map(str, scans_paths)).count("-") > 1:
         raise ConfigError("-: got it more than once, but standard input can be read only once")
-    read = [*inputs.files_of(map_path), *([] if region is None else [region])]
+    read = [*inputs.files_of(map_path), *filter(None, (region, prior_image))]
     inputs.check_target(picture, ".png", force=force, inputs=read)
     inputs.check_target(explain, ".html", force=force)
     job = Localize(
@@ -100,6 +106,7 @@ def localize(
         known=known,
         drawn=drawn,
         region=region,
+        prior_image=prior_image,
     )
     desk = inputs.desk_of(**vars(taken), cache=folder)
     desk.grid(map_path, job.maps)  # a map that is not there is told before scans are waited for

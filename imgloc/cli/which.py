@@ -23,7 +23,7 @@ def which(
         "Folder tree of maps: map_server YAML; with --resolution also images without one.",
         "MAPS_DIR",
     ),
-    known: Annotated[Known, Without("near")],
+    known: Annotated[Known, Without("near", "sd")],
     reading: opt.MapFrame,
     logs: Logs,
     taken: opt.Resources,

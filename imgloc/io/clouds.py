@@ -8,14 +8,16 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import PathLike, display, open_file
+from imgloc.io.messages import fields_of, has_field, scan_from_msg, seconds_of
 from imgloc.io.scanset import MAX_READINGS, ScanSet, ScansSize, collect, wrong
-from imgloc.model import FloatArray
+from imgloc.model import FloatArray, LaserScan, Pose2D
 
 Height = tuple[float, float]
 """The lowest and the highest point of a slice, metres above the sensor, in its own frame."""
@@ -63,6 +65,45 @@ def slice_of(points: FloatArray, height: Height) -> dict[str, Any]:
     out["ranges"][ray[nearest]] = ranges[nearest]
     out["angles"][ray[nearest]] = at[nearest]
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A cloud as a sensor sends it."""
+
+    points: FloatArray  #: (N, 3) in the sensor's frame, metres; not all need be finite
+    stamp: float  #: seconds
+
+    def scan(self, height: Height, pose: FloatArray | None = None) -> LaserScan:
+        """Slice it level, at heights above the base.
+
+        `pose` (4, 4) is that of the sensor on the base. Without it the sensor is taken for level,
+        and heights are above the sensor.
+
+        Examples
+        --------
+        A camera whose z looks forward, 0.5 m above the base, sees a wall 2 m ahead:
+
+        >>> pose = np.array([[0, 0, 1.0, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
+        >>> scan = Cloud(np.array([[0.0, 0.3, 2.0]]), 0.0).scan((0.1, 0.3), pose)
+        >>> scan.ranges[scan.valid].tolist(), scan.T_base_laser
+        ([2.0], Pose2D(x=0.1, y=0.0, theta=0.0))
+        """
+        points, mount = self.points, None
+        if pose is not None:
+            with np.errstate(invalid="ignore", over="ignore"):
+                points = points @ pose[:3, :3].T + (0.0, 0.0, pose[2, 3])
+            mount = Pose2D(pose[0, 3], pose[1, 3])
+        entry = slice_of(points, height) | {"stamp": self.stamp, "mount": mount}
+        return collect([("cloud", entry)], "cloud")[0]
+
+
+def seen_in_msg(message: Any, name: str, received: float = math.nan) -> LaserScan | Cloud:
+    """The scan of a sensor_msgs/LaserScan, or the cloud of a sensor_msgs/PointCloud2."""
+    if not has_field(message, "point_step"):
+        return scan_from_msg(message, name, received=received)
+    with fields_of(ScanError, name):
+        return Cloud(points_of(message, name), seconds_of(message.header.stamp) or received)
 
 
 def check_seen(entries: Iterable[Mapping[str, Any]], height: Height, where: str) -> None:

@@ -1,8 +1,9 @@
 """A robot that runs, looked at for some seconds: what is wrong with its topics, and what to do."""
 
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -12,16 +13,10 @@ from imgloc.answers.causes import Given
 from imgloc.answers.diagnose import doubts
 from imgloc.errors import ImglocError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.io.messages import (
-    frame_name,
-    grid_from_msg,
-    link_of,
-    planar,
-    scan_from_msg,
-    seconds_of,
-)
+from imgloc.io.clouds import seen_in_msg
+from imgloc.io.messages import frame_name, grid_from_msg, link_of, seconds_of
 from imgloc.io.scanset import ScanSet
-from imgloc.live.node import ros_node
+from imgloc.live.node import placed, ros_node
 from imgloc.live.settings import Settings
 from imgloc.live.sites import Maker, site_of
 from imgloc.model import LaserScan, Pose2D
@@ -31,8 +26,9 @@ from imgloc.robot.frames import Frames
 
 SECONDS = 10.0
 """How long is listened."""
+_KEPT = 30  # messages of a topic: clouds are large
 _SCANS = 3  # that are looked for on the map
-_SLOW = {"LaserScan": 1.0, "Odometry": 5.0}  # messages a second at least
+_SLOW = {"LaserScan": 1.0, "PointCloud2": 1.0, "Odometry": 5.0}  # messages a second at least
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,7 @@ class _Heard:
 
     name: str  #: with namespace and remapping
     kind: str
-    messages: list[Any] = field(default_factory=list)
+    messages: deque[Any] = field(default_factory=lambda: deque(maxlen=_KEPT))
     times: list[float] = field(default_factory=list)  # monotonic seconds
     ages: list[float] = field(default_factory=list)  # seconds of the stamps
 
@@ -68,7 +64,8 @@ class _Ear:
         qos, sensor = ros.qos, ros.qos.qos_profile_sensor_data
         latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self.scans = [
-            self._hear("sensor_msgs", "LaserScan", t, sensor) for t in settings.scan_topics
+            self._hear("sensor_msgs", "PointCloud2" if cloud else "LaserScan", t, sensor)
+            for t, cloud in settings.topics
         ]
         self.odom = self._hear("nav_msgs", "Odometry", "odom", sensor)
         self.map = self._hear("nav_msgs", "OccupancyGrid", "map", latched) if map_topic else None
@@ -135,25 +132,29 @@ class _Ear:
         """Where a laser sits, and some of its scans there."""
         heard, base = self.scans[k], self.settings.base_frame
         frame = frame_name(heard.messages[-1].header.frame_id)
-        turned, mounts = self.settings.flipped, self.settings.mounts
+        mounts, link = self.settings.mounts, self.frames.at(frame, base, 0.0)
         if mounts is not None:
-            mount, source = mounts[k], "parameter sensor"
-        elif (link := self.frames.at(frame, base, 0.0)) is not None:
-            mount, turned, source = Pose2D(*planar(link)), link[2, 2] < 0, "tf"
-        else:
+            link = None
+        elif link is None:
             found = f"tf does not say where {frame} sits on {base}"
             return Row(
                 f"{heard.name} mount", found, "publish it, or set the parameter sensor to X,Y,YAW"
             ), []
         chosen = [heard.messages[i] for i in np.linspace(0, len(heard.messages) - 1, _SCANS)
                   .astype(int)]  # fmt: skip
-        scans = [scan_from_msg(one, heard.name) for one in chosen]
-        scans = [replace(s.flipped if turned else s, T_base_laser=mount, laser=heard.name,
-                         range_max=min(s.range_max, self.settings.range_max))
-                 for s in scans]  # fmt: skip
-        same = len(chosen) > 1 and len({bytes(one.ranges) for one in chosen}) == 1
+        at = mounts[k] if mounts is not None else None
+        scans = [
+            placed(seen_in_msg(one, heard.name), self.settings, heard.name, at, link)
+            for one in chosen
+        ]
+        mount = scans[0].T_base_laser or Pose2D(0.0, 0.0)
+        same = len(chosen) > 1 and len({one.ranges.tobytes() for one in scans}) == 1
         do = "each scan repeats the one before: restart the driver" if same else ""
-        words = f"{mount.x:g}, {mount.y:g}, {np.rad2deg(mount.theta):.0f} deg by {source}"
+        if heard.kind == "PointCloud2" and not any(scan.directions for scan in scans):
+            do = "no point at this height: is it above the base? are these metres?"
+        words = f"{mount.x:g}, {mount.y:g}, {np.rad2deg(mount.theta):.0f} deg by "
+        words += "parameter sensor" if link is None else "tf"
+        turned = self.settings.flipped if link is None else link[2, 2] < 0
         return Row(f"{heard.name} mount", words + ", flipped" * turned, do), scans
 
 

@@ -385,7 +385,7 @@ class Localizer:
         """Return a future of :meth:`which` at once; Dropped if a map is not prepared yet."""
         expect(scan, LaserScan, "scan")
         known = known or Known()
-        if known.near is not None:
+        if known.near is not None or known.hints:
             raise ConfigError(
                 "`near` belongs to one map; expected `heading` or `clearance`, for any map"
             )

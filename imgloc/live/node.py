@@ -26,6 +26,7 @@ from imgloc.errors import ConfigError, ImglocError, ScanError, printable
 from imgloc.filters.belief import LOST, deviations_of, one_place
 from imgloc.filters.follow import BLIND, Moment
 from imgloc.filters.watch import AGREES, DISAGREES, Opinion, Watch
+from imgloc.io.clouds import Cloud, seen_in_msg
 from imgloc.io.messages import (
     frame_name,
     grid_from_msg,
@@ -33,7 +34,6 @@ from imgloc.io.messages import (
     move_of,
     planar,
     pose_of,
-    scan_from_msg,
     seconds_of,
 )
 from imgloc.live.line import Dropped
@@ -41,10 +41,11 @@ from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Sighting, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
-from imgloc.live.settings import Settings
+from imgloc.live.settings import CHANGING, MEASURED, Settings
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
+    HINTED,
     OK,
     WARN,
     Found,
@@ -53,8 +54,10 @@ from imgloc.live.status import (
     found_of,
     health,
     status_row,
+    weighed,
 )
 from imgloc.model import (
+    FloatArray,
     LaserScan,
     Localization,
     OccupancyGrid,
@@ -63,7 +66,7 @@ from imgloc.model import (
     inverse,
     to_json,
 )
-from imgloc.options import Options
+from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Options
 from imgloc.ranges import declared
 from imgloc.robot.frames import Frames
 from imgloc.robot.odometry import Odometry
@@ -84,12 +87,11 @@ MISSING = (
 )
 _LOOK = 0.5  # seconds between two looks at what has become of everything
 _KEPT = 10.0  # seconds that who comes late still gets /initialpose: what tf2 remembers by default
-_LATE = 1.0  # seconds that a scan waits for odometry and transforms of its time
-_NO_ODOMETRY = 2.0  # seconds from the first scan until the scans alone tell the motion
 _WAITING = 100  # scans that wait so, of all lasers
 _ANSWERED = 15.0  # seconds that ~/localize waits for a pose at most
 _MOVES = 4000  # poses of the odometry, and of a link of tf, remembered: 20 s of 200 a second
 _CLAIMS = 200  # poses of the localizer that is watched, remembered
+_HINTS = 20  # poses on ~/hint, remembered
 _SAVED = 1.0  # seconds between two writes of the pose that is remembered
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
@@ -133,11 +135,19 @@ def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
         if name in given:
             node.undeclare_parameter(name)
         about = ros.rcl_interfaces.ParameterDescriptor(
-            dynamic_typing=True, read_only=True, description=one.text,
+            dynamic_typing=True, read_only=name not in CHANGING, description=one.text,
             additional_constraints="" if one.limit is None else str(one.limit),
         )  # fmt: skip
         plain = list(default) if isinstance(default, tuple) else default
-        value = node.declare_parameter(name, plain, about).value
+        said[name] = node.declare_parameter(name, plain, about).value
+    return _changed(settings, said)
+
+
+def _changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
+    """The settings with the values of some ROS parameters; ConfigError for a wrong one."""
+    said = dict[str, Any]()
+    for name, value in values.items():
+        default = getattr(settings, name)
         if isinstance(default, tuple):
             value = (value,) if isinstance(value, str | int | float) else tuple(value or ())
         elif isinstance(default, float) and type(value) is int:
@@ -147,6 +157,22 @@ def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
         return replace(settings, **said)
     except ConfigError as error:
         raise ConfigError(f"parameter {str(error).removeprefix('Settings.')}") from None
+
+
+def on_change(ros: Any, settings: Settings, told: Callable[[Settings], None]) -> Callable[..., Any]:
+    """Return what takes ROS parameters while the node runs; a refusal has the reason."""
+
+    def change(parameters: Sequence[Any]) -> Any:
+        nonlocal settings
+        own = {one.name: one.value for one in parameters if one.name in CHANGING}
+        try:
+            settings = _changed(settings, own)
+        except ConfigError as error:
+            return ros.rcl_interfaces.SetParametersResult(successful=False, reason=str(error))
+        told(settings)
+        return ros.rcl_interfaces.SetParametersResult(successful=True)
+
+    return change
 
 
 @dataclass(eq=False)
@@ -174,7 +200,7 @@ class _Waiting:
     """A scan that waits for what the robot did at its time."""
 
     laser: Topic
-    scan: LaserScan  # not mounted yet
+    scan: LaserScan | Cloud  # not mounted yet
     frame: str
     stamp: Any  # as it stands in the message
     until: float  # monotonic seconds
@@ -242,7 +268,7 @@ class LocalizerNode:
         self.first = FirstPose(settings)
         self.lasers = [
             Topic(topic, None if mounts is None else mounts[k], Stamps(settings.max_age))
-            for k, topic in enumerate(settings.scan_topics)
+            for k, (topic, _) in enumerate(settings.topics)
         ]  # fmt: skip
         self.found: Found | None = None
         self._sure = False  # whether that is a pose that was published
@@ -256,6 +282,7 @@ class LocalizerNode:
         self._moved = False  # whether there is odometry
         self._stood: Pose2D | None = None  # where a robot that stands was looked at, by odometry
         self._sure_at: tuple[float, Pose2D] | None = None  # stamp and map_odom of that pose
+        self._hints = deque[tuple[float, Hint]](maxlen=_HINTS)  # of the base, map frame, at a time
         self._claims = deque[tuple[float, Pose2D]](maxlen=_CLAIMS)  # of who is watched
         self._watch: Watch | None = None
         self._judging: Future[Opinion] | None = None
@@ -290,8 +317,9 @@ class LocalizerNode:
             depth=1, reliability=reliable, durability=latched.durability,
             lifespan=ros.duration.Duration(seconds=_KEPT),
         )  # fmt: skip
-        for name, laser in zip(self.settings.scan_topics, self.lasers, strict=True):
-            laser.topic = self._hear(ros.sensor_msgs.LaserScan, name, self._scan_of(laser), sensor)
+        for (name, cloud), laser in zip(self.settings.topics, self.lasers, strict=True):
+            kind = ros.sensor_msgs.PointCloud2 if cloud else ros.sensor_msgs.LaserScan
+            laser.topic = self._hear(kind, name, self._scan_of(laser), sensor)
         self._hear(ros.nav_msgs.Odometry, "odom", self._on_odometry, sensor)
         if self.from_topic:
             self._map_topic = self._hear(ros.nav_msgs.OccupancyGrid, "map", self._on_map, latched)
@@ -303,6 +331,7 @@ class LocalizerNode:
         say = node.create_publisher
         geometry = ros.geometry_msgs
         stamped = geometry.PoseWithCovarianceStamped
+        self._hear(stamped, "~/hint", self._on_hint, 10)
         if self.settings.watch not in ("", "tf"):
             reliably = qos.QoSProfile(depth=10, reliability=reliable)
             self._hear(stamped, self.settings.watch, self._on_claim, reliably)
@@ -337,7 +366,7 @@ class LocalizerNode:
             made = self.node.create_subscription(kind, topic, heard, qos)
         except self.ros.exceptions.InvalidTopicNameException as error:
             why = str(error).splitlines()[0].removesuffix(":")
-            raise ConfigError(f"parameter scan_topics: got {topic!r}: {why}") from None
+            raise ConfigError(f"topic: got {topic!r}: {why}") from None
         name = str(made.topic_name)
         made.callback = self._guarded(name, heard)
         return name
@@ -371,7 +400,7 @@ class LocalizerNode:
         before, laser.heard = laser.heard, time.monotonic()
         now = self.now
         try:
-            scan = scan_from_msg(message, laser.topic, received=0.0)
+            scan = seen_in_msg(message, laser.topic, received=0.0)
         except ScanError as error:
             laser.bad, laser.wrong = laser.bad + 1, str(error).removeprefix(f"{laser.topic}: ")
             raise
@@ -390,7 +419,7 @@ class LocalizerNode:
                 laser.heard = before
                 self._repeat(laser, now)
             return
-        content = scan.ranges.tobytes()
+        content = (scan.points if isinstance(scan, Cloud) else scan.ranges).tobytes()
         again, laser.ranges = content == laser.ranges, content
         if again:
             laser.frozen = True
@@ -405,9 +434,8 @@ class LocalizerNode:
             laser.skipped += 1
             return
         self._first = min(self._first, laser.heard)
-        self._waiting.append(
-            _Waiting(laser, scan, frame, message.header.stamp, laser.heard + _LATE)
-        )
+        until = laser.heard + MEASURED.late
+        self._waiting.append(_Waiting(laser, scan, frame, message.header.stamp, until))
         self._go_on()
 
     def _go_on(self) -> None:
@@ -417,7 +445,7 @@ class LocalizerNode:
             one = self._waiting.popleft()
             era = self._era
             scan, odom, lacks = self._complete(one)
-            if not lacks:
+            if scan is not None:
                 self._look_at(one, scan, odom)
                 one.laser.late = ""
             elif one.until > late and len(kept) < _WAITING:
@@ -428,23 +456,17 @@ class LocalizerNode:
                 return  # all that waits is of another time
         self._waiting = kept
 
-    def _complete(self, one: _Waiting) -> tuple[LaserScan, Pose2D | None, str]:
+    def _complete(self, one: _Waiting) -> tuple[LaserScan | None, Pose2D | None, str]:
         """The scan, cut and mounted, with the odometry of its time; or what it waits for."""
-        scan, laser, turned = one.scan, one.laser, self.settings.flipped
-        stamp, mount = scan.stamp, laser.mount
-        if mount is None:
-            base = self.settings.base_frame
-            link = self._frames.at(one.frame, base, stamp)
-            if link is None:
-                return scan, None, f"transforms from {base} to {one.frame}"
-            mount, turned = Pose2D(*planar(link)), link[2, 2] < 0
+        laser, stamp, base = one.laser, one.scan.stamp, self.settings.base_frame
+        link = self._frames.at(one.frame, base, stamp) if laser.mount is None else None
+        if link is None and laser.mount is None:
+            return None, None, f"transforms from {base} to {one.frame}"
         odom = self._moves.at(stamp)
-        silent = not self._moved and time.monotonic() > self._first + _NO_ODOMETRY
+        silent = not self._moved and time.monotonic() > self._first + MEASURED.without_odometry
         if odom is None and not silent:
-            return scan, None, "odometry"
-        scan = scan.flipped if turned else scan
-        reach = min(scan.range_max, self.settings.range_max)
-        scan = replace(scan, range_max=reach, T_base_laser=mount, laser=laser.topic)
+            return None, None, "odometry"
+        scan = placed(one.scan, self.settings, laser.topic, laser.mount, link)
         return scan, None if odom is None else Pose2D(*odom), ""
 
     def _look_at(self, one: _Waiting, scan: LaserScan, odom: Pose2D | None) -> None:
@@ -489,7 +511,7 @@ class LocalizerNode:
             self._moves.clear()
         elif judged != FINE:
             return
-        if not self._moved and time.monotonic() > self._first + _NO_ODOMETRY:
+        if not self._moved and time.monotonic() > self._first + MEASURED.without_odometry:
             self._robot.reset()  # until now the scans alone told the motion
         self._moved = True
         self._odom_frame = frame_name(message.header.frame_id) or "odom"
@@ -536,6 +558,7 @@ class LocalizerNode:
         self._again()
         self.found, self._sure = None, False
         self._moves.clear()
+        self._hints.clear()
         self._move_stamps.start()
         self._first, self._moved = math.inf, False
         self._frames.forget()
@@ -559,8 +582,10 @@ class LocalizerNode:
         """Ask a scan alone: on which floor it is, or where a robot stands."""
         floors = self._robot.map is None and len(self.core.names) > 1
         future: Future[Any]
+        known = Known(hints=self._hinted(scan.stamp, scan.T_base_laser))
         try:
-            future = self.core.which_soon(scan) if floors else self.core.localize_soon(scan)
+            ask = self.core.which_soon if floors else partial(self.core.localize_soon, known=known)
+            future = ask(scan)
         except Dropped:  # another map has come meanwhile
             self.first.answered()
             return
@@ -664,9 +689,36 @@ class LocalizerNode:
             self._kept.save(self.settings.remember)
 
     def _on_claim(self, message: Any) -> None:
-        if frame_name(message.header.frame_id) not in ("", self._map_frame):
-            raise ConfigError(f"frame_id: expected {self._map_frame}")
-        self._claims.append((seconds_of(message.header.stamp), pose_of(message.pose.pose)))
+        self._claims.append((seconds_of(message.header.stamp), self._given(message)[0]))
+
+    def _given(self, message: Any) -> tuple[Pose2D, tuple[float, float]]:
+        """Pose and standard deviations of a message that somebody sends; ConfigError in no map."""
+        frame, given = frame_name(message.header.frame_id), message.pose
+        if frame not in ("", self._map_frame):
+            raise ConfigError(f"frame_id: got {printable(frame)!r}, expected {self._map_frame}")
+        covariance = np.reshape(given.covariance, (6, 6))[np.ix_(_PLANE, _PLANE)]
+        return pose_of(given.pose), deviations_of(covariance)
+
+    def _on_hint(self, message: Any) -> None:
+        """Take a pose of the base that somebody thinks of: a tag, a QR code, radio."""
+        pose, (metres, radians) = self._given(message)
+        least, turn = self.settings.least_deviation
+        metres = max(metres or RADIUS, least, 0.01)  # a covariance of 0 is one that is not known
+        radians = min(max(radians or TOLERANCE, turn, 0.001), math.pi)
+        hint = Hint(pose.x, pose.y, pose.theta, metres, radians)
+        self._hints.append((seconds_of(message.header.stamp), hint))
+
+    def _hinted(self, stamp: float, mount: Pose2D | None = None) -> tuple[Hint, ...]:
+        """The young hints, carried by the odometry to a time; of the sensor at `mount`."""
+        out, here = list[Hint](), self._odometry(stamp)
+        for then, hint in self._hints:
+            if abs(stamp - then) <= self.settings.max_age:
+                pose, before = Pose2D(hint.x, hint.y, hint.theta), self._odometry(then)
+                if before is not None and here is not None:
+                    pose = compose(pose, compose(inverse(before), here))
+                pose = pose if mount is None else compose(pose, mount)
+                out.append(replace(hint, x=pose.x, y=pose.y, theta=pose.theta))
+        return tuple(out)
 
     def _judge(self, asked: _Asked, moment: Moment, site: Site) -> None:
         """Hold the last pose of the localizer that is watched against a scan."""
@@ -717,9 +769,11 @@ class LocalizerNode:
         moment = answer.value
         site = self.core.site(answer.map, timeout=0)
         found = found_along(moment, site.features.grid.origin, answer.map, asked.scan)
+        found = weighed(found, self._hinted(moment.stamp), self.core.options.trust.mass)
         if self.settings.watch:
             self._judge(asked, moment, site)
-        sure = moment.pose is not None and self.first.fresh(moment.stamp, self.now)
+        fresh = self.first.fresh(moment.stamp, self.now)
+        sure = moment.pose is not None and found.why != HINTED and fresh
         self._took = self.now - moment.stamp
         self._followed = self._followed or sure
         if sure and moment.map_odom is not None:
@@ -915,13 +969,15 @@ class LocalizerNode:
         return response
 
     def _start_at(self, message: Any) -> None:
-        frame, given = frame_name(message.header.frame_id), message.pose
-        if frame not in ("", self._map_frame):
-            raise ConfigError(f"frame_id: got {printable(frame)!r}, expected {self._map_frame}")
-        pose = pose_of(given.pose)
-        deviation = deviations_of(np.reshape(given.covariance, (6, 6))[np.ix_(_PLANE, _PLANE)])
+        pose, deviation = self._given(message)
         self._robot.start_at(pose, deviation)
         self.node.get_logger().info(f"follows the robot from {pose}")
+
+    def change(self, settings: Settings) -> None:
+        """Go on with other values of the parameters that may change."""
+        self.settings = self.first.rules = settings
+        for stamps in (self._move_stamps, *(laser.stamps for laser in self.lasers)):
+            stamps.most = settings.max_age
 
     def close(self) -> None:
         """Say and hear nothing any more."""
@@ -936,6 +992,26 @@ class LocalizerNode:
             ("publisher", node.publishers), ("subscription", node.subscriptions),
             ("service", node.services), ("timer", node.timers), ("guard_condition", node.guards),
         ) for one in there}  # fmt: skip
+
+
+def placed(
+    seen: LaserScan | Cloud, settings: Settings, name: str, mount: Pose2D | None,
+    link: FloatArray | None,
+) -> LaserScan:  # fmt: skip
+    """The scan of a laser, or the slice of a cloud, cut and mounted.
+
+    The sensor sits at `mount`, or where `link` (4, 4), its pose on the base, has it.
+    """
+    turned = settings.flipped if link is None else bool(link[2, 2] < 0)
+    if isinstance(seen, Cloud):
+        low, high = settings.height
+        turned, seen = turned and link is None, seen.scan((low, high), link)
+        mount = seen.T_base_laser if mount is None else mount
+    elif link is not None:
+        mount = Pose2D(*planar(link))
+    scan = seen.flipped if turned else seen
+    reach = min(scan.range_max, settings.range_max)
+    return replace(scan, range_max=reach, T_base_laser=mount, laser=name)
 
 
 def _still(then: Pose2D, here: Pose2D) -> bool:
@@ -1062,8 +1138,19 @@ def run_node(
                 clock=lambda: float(node.get_clock().now().nanoseconds) * 1e-9,
             )  # fmt: skip
 
+        running = list[LocalizerNode]()
+
+        def told(changed: Settings) -> None:
+            nonlocal settings
+            settings = changed
+            for one in running:
+                one.change(settings)
+
+        node.add_on_set_parameters_callback(on_change(ros, settings, told))
+
         def start(core: Localizer) -> LocalizerNode:
-            return LocalizerNode(ros, node, settings, core, from_topic=not makers)
+            running[:] = [LocalizerNode(ros, node, settings, core, from_topic=not makers)]
+            return running[0]
 
         if lifecycle:
             undo.callback(managed(ros, node, prepare, start).on_cleanup, None)

@@ -54,7 +54,13 @@ _REGION = _own(
     "region", "Only poses in this polygon: x1, y1, x2, y2 and so on, map frame, metres.",
     tuple[opt.Place, ...], parse=numbers(*CORNERS),
 )  # fmt: skip
-DOUBTS = (MAP, *_SCANS, option(opt.Known, "near"), _HEADING, _CLEARANCE, _REGION)
+_HINTS = _own(
+    "hints", "Poses of which one is roughly right: x, y, yaw, standard deviations in metres and "
+    "radians, weight (0.001 to 1), and so on. No pose is excluded, and none unique by them.",
+    tuple[opt.Place, ...], parse=numbers(*CORNERS),
+)  # fmt: skip
+DOUBTS = (MAP, *_SCANS, *(option(opt.Known, key) for key in ("near", "sd")), _HEADING, _CLEARANCE,
+          _HINTS, _REGION)  # fmt: skip
 LOCALIZE = (*DOUBTS, *(option(opt.Options, key) for key in ("method", "top", "theta_step")))
 WHICH = (*_SCANS, _HEADING, _CLEARANCE)
 FIT = (

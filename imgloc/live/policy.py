@@ -33,14 +33,12 @@ or after `metres` of driving is due.
 import math
 from dataclasses import dataclass
 
-from imgloc.live.settings import Rules
+from imgloc.live.settings import MEASURED, Rules
 from imgloc.model import Localization, Pose2D
 
 WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
     "waiting", "trying", "confirmed", "quiet", "given up",
 )  # fmt: skip
-#: Of one scan that is believed without a second: least mass, and largest radius of its 95 % level.
-_ALONE = 0.999, 0.5
 
 
 @dataclass(frozen=True)
@@ -122,10 +120,9 @@ class FirstPose:
 
 def alone(answer: Localization) -> bool:
     """Return whether one scan is so sure of a place that a robot which stands may be told it."""
-    if answer.verdict != "unique" or not answer.protection:
-        return False
-    mass, level = _ALONE
-    return answer.hypotheses[0].mass >= mass and answer.protection[0].metres < level
+    mass, level = MEASURED.alone
+    sure = answer.verdict == "unique" and answer.hypotheses[0].mass >= mass
+    return sure and bool(answer.protection) and answer.protection[0].metres < level
 
 
 def _apart(a: Pose2D | None, b: Pose2D | None) -> float:

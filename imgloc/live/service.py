@@ -55,7 +55,7 @@ from imgloc.live.robots import Robots
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
 from imgloc.model import FloatArray, LaserScan, Likelihood, plain, to_json
-from imgloc.options import FUSED, Chosen, Known, Prior, Shared
+from imgloc.options import FUSED, Chosen, Hint, Known, Prior, Shared
 from imgloc.output.rows import answer_row, scan_row
 from imgloc.pipeline import localize, prepare
 from imgloc.search.asked import answer_bytes
@@ -691,7 +691,12 @@ def _one_of(held: ScansHeld, values: Values) -> LaserScan:
 def _prior(values: Values, site: Site) -> Prior:
     """The poses, on a map, that a request leaves: near one, in a region, and so on."""
     grid = site.features.grid
-    prior = prior_of(Known(*(values[key] for key in ("near", "heading", "clearance"))), grid)
+    given = values["hints"] or ()
+    if len(given) % 6:
+        raise ConfigError(f"hints: got {len(given)} numbers, expected six for each pose")
+    hints = tuple(Hint(*row) for row in np.reshape(given, (-1, 6)).tolist())
+    known = {key: values[key] for key in ("near", "heading", "clearance", "sd")}
+    prior = prior_of(Known(**known, hints=hints), grid)
     if values["region"] is not None:
         cells = layers.region_cells(grid, _corners(values["region"]))
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})

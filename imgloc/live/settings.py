@@ -1,15 +1,15 @@
 """Settings of the ROS 2 node: options of the command, and ROS parameters of the same fields."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 from imgloc.errors import ConfigError
-from imgloc.options import Flipped, Metres, Place, Radians
+from imgloc.numbers import number
+from imgloc.options import Flipped, Metres, Place, Radians, Share
 from imgloc.pose import Pose2D, check_mount
 from imgloc.ranges import Checked, Doc, Matches, Within, option
-from imgloc.texts import pose
+from imgloc.texts import numbers, pose
 
 _Frame = Annotated[str, Matches(r"/*[^/]+.*", 1000, "the name of a frame")]
 _Topic = Annotated[str, Matches(r".+", 1000, "the name of a topic")]
@@ -20,6 +20,28 @@ def _poses(text: str) -> tuple[float, ...]:
     words = text.split(",")
     threes = [",".join(words[k : k + 3]) for k in range(0, len(words), 3)]
     return tuple(value for three in threes for value in pose(three))
+
+
+_Wait = Annotated[float, Within(0.01, 60, "seconds")]
+
+
+@dataclass(frozen=True)
+class Measured(Checked):
+    """What the node goes by, and no robot sets."""
+
+    #: from a scan's arrival until it is left out, if odometry or transforms of its time lack
+    late: _Wait = number("live.late")
+    #: from the first scan until the scans alone give the motion
+    without_odometry: _Wait = number("live.without_odometry")
+    #: of one scan that is believed without a second: least mass, and largest radius of 95 %
+    alone: tuple[Share, Metres] = number("live.alone")
+
+
+MEASURED = Measured()
+
+
+def _topics(text: str) -> tuple[str, ...]:
+    return tuple(text.split(","))
 
 
 @dataclass(frozen=True)
@@ -41,22 +63,44 @@ class Rules(Checked):
     )
 
 
+#: parameters that may change while the node runs
+CHANGING = {"every", "metres", "tries", "max_age", "scan_timeout", "least_deviation", "standing",
+            "range_max", "height"}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Settings(Rules):
     """What the node does; each field is a ROS parameter of its name."""
 
-    scan_topics: Sequence[_Topic] = option(
-        ("scan",),
-        "Topic of a laser. Repeat it for several lasers.",
+    scan_topics: tuple[_Topic, ...] = option(
+        (),
+        "Topic of a laser. Repeat it for several lasers. [default: scan, or none with --cloud]",
         "--scan",
         metavar="TOPIC",
-        parse=lambda text: tuple(text.split(",")),
+        parse=_topics,
         joined=True,
+    )
+    cloud_topics: tuple[_Topic, ...] = option(
+        (),
+        "Topic of a 3-D lidar or depth camera, whose clouds of points are cut at --height. Repeat "
+        "it for several.",
+        "--cloud",
+        metavar="TOPIC",
+        parse=_topics,
+        joined=True,
+    )
+    height: tuple[Place, ...] = option(
+        (),
+        "Points of a cloud between the heights MIN and MAX are a scan: metres over base_frame by "
+        "tf; with --sensor, over the sensor, which is level then.",
+        metavar="MIN,MAX",
+        parse=numbers(2),
     )
     sensor: tuple[Place, ...] = option(
         (),
         "Pose of the laser on the robot: metres, metres, radians (or 90deg). Repeat it for several "
-        "lasers, in the order of their topics. [default: tf says it, if tf2_msgs is installed]",
+        "lasers, in the order of their topics, clouds last. [default: tf says it, if tf2_msgs is "
+        "installed]",
         metavar="X,Y,YAW",
         parse=_poses,
         joined=True,
@@ -75,7 +119,7 @@ class Settings(Rules):
     #: a localizer that starts from it needs room for its own errors
     least_deviation: Annotated[
         tuple[Metres, Radians],
-        Doc("Least standard deviations of /initialpose, metres and radians."),
+        Doc("Least standard deviations of /initialpose and ~/hint, metres and radians."),
     ] = (0.1, 0.05)
     track: bool = option(False, "Follow the robot, too, on the topics ~/pose and ~/map_odom.")
     tf: bool = option(False, "With --track, also publish map -> odom on /tf, as AMCL does.")
@@ -105,15 +149,26 @@ class Settings(Rules):
         if self.tf and not self.track:
             raise ConfigError("Settings.tf: expected track, too: map -> odom is of the tracker")
 
+        if bool(self.cloud_topics) != bool(self.height):
+            raise ConfigError("Settings.height: expected with cloud_topics, and they with it")
+        if self.height and not (len(self.height) == 2 and self.height[0] < self.height[1]):
+            raise ConfigError(f"Settings.height: got {self.height}, expected a lower end first")
+
+    @property
+    def topics(self) -> list[tuple[str, bool]]:
+        """The topics of lasers, and then of clouds; and whether each is of clouds."""
+        lasers = self.scan_topics or (() if self.cloud_topics else ("scan",))
+        return [(one, False) for one in lasers] + [(one, True) for one in self.cloud_topics]
+
     @property
     def mounts(self) -> list[Pose2D] | None:
         """Where each laser sits; None if tf has to say it."""
         if not self.sensor:
             return None
-        if len(self.sensor) != 3 * len(self.scan_topics):
+        if len(self.sensor) != 3 * len(self.topics):
             raise ConfigError(
                 f"sensor: got {len(self.sensor)} numbers, expected x, y, yaw for each of "
-                f"{len(self.scan_topics)} scan_topics"
+                f"{len(self.topics)} topics"
             )
         at = self.sensor
         mounts = [Pose2D(*at[k : k + 3]) for k in range(0, len(at), 3)]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,18 @@ from imgloc.filters.follow import BLIND, STANDING, UNCONFIRMED, WIDE, Moment
 from imgloc.geometry import transform_poses
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose
 from imgloc.model import SURE, FloatArray, LaserScan, Localization, Pose2D, base_of, plain
+from imgloc.options import Hint, Prior
+from imgloc.search.priors import ranked
 from imgloc.search.protection import SHARES, protection
 
+HINTED = "hinted"
+"""Word for why a pose is withheld that hints speak against."""
 LISTED = 10  # places of a message at most
 WHY = {
     BLIND: "blind: it sees nothing, or repeats an old scan",
     UNCONFIRMED: "unconfirmed: drive on, too few scans agree yet",
     STANDING: "the robot has not moved: drive on, or turn",
+    HINTED: "hinted: poses on ~/hint speak against it",
     WIDE: "wide: the standard deviation is above the limit",
 }
 """Sentences for why a pose is withheld."""
@@ -96,6 +101,31 @@ def found_along(
     return Found(
         moment.stamp, name, verdict, poses, masses, moment.covariance if poses else None,
         why=moment.withheld, diagonal=moment.diagonal,
+    )  # fmt: skip
+
+
+def weighed(found: Found, hints: tuple[Hint, ...], sure: float) -> Found:
+    """The same with the weights of hints of the base, map frame: see :func:`ranked`.
+
+    A unique pose stays so only with a mass of `sure` after all.
+
+    Examples
+    --------
+    >>> twins = Found(1.0, "hall", "ambiguous", (Pose2D(1.0, 0.0), Pose2D(9.0, 0.0)), (0.6, 0.4))
+    >>> found = weighed(twins, (Hint(9.0, 0.0, 0.0, 0.5, 0.2),), 0.9)
+    >>> found.poses[0].x, round(found.masses[0], 2), found.verdict
+    (9.0, 0.87, 'ambiguous')
+    """
+    if not hints or not found.poses:
+        return found
+    rows = np.array([(p.x, p.y, p.theta) for p in found.poses])
+    order, share = ranked(Prior(hints=(hints,)), rows, np.array(found.masses), 1.0)
+    same, verdict, why = order[0] == 0, found.verdict, found.why
+    if verdict == "unique" and not (same and share[0] >= sure):
+        verdict, why = "ambiguous", HINTED
+    return replace(
+        found, verdict=verdict, why=why, poses=tuple(found.poses[k] for k in order),
+        masses=tuple(share.tolist()), covariance=found.covariance if same else None,
     )  # fmt: skip
 
 

@@ -161,6 +161,11 @@ def known_words(prior: Mapping[str, Any]) -> str:
             if "radius" in value:
                 place = f"{minus(value['x'], 2)}, {minus(value['y'], 2)} m"
                 words = f"within {value['radius']:g} m of {place}, {words}"
+        elif isinstance(value, list) and isinstance(value[0], Mapping):
+            words = "weighed by " + " or ".join(
+                f"{minus(one['x'], 2)}, {minus(one['y'], 2)} m ± {one['metres']:g} m"
+                for one in value
+            )
         said.append(words)
     return ", ".join(said)
 

@@ -51,7 +51,7 @@ class Stamps:
     """
 
     def __init__(self, most: float = math.inf, *, shared: bool = False) -> None:
-        self._most, self._shared = most, shared
+        self.most, self._shared = most, shared
         self.start()
 
     def start(self) -> None:
@@ -78,7 +78,7 @@ class Stamps:
             return OLD
         if stamp > now + LEAP and stamp > self.latest + LEAP:
             self._ahead = stamp
-            if not ahead <= stamp or stamp > now + self._most:
+            if not ahead <= stamp or stamp > now + self.most:
                 return AHEAD
         self.latest = stamp
         return FINE

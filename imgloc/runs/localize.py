@@ -16,7 +16,7 @@ from imgloc.io.calibration import calibrated
 from imgloc.io.files import display, map_name
 from imgloc.io.images import image_size, read_image
 from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, LaserScan, Localization, OccupancyGrid, Pose2D
+from imgloc.model import BoolArray, FloatArray, LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import FUSED, TOLERANCES, Drawn, Known, Length, Options, Prior, Tolerance
 from imgloc.pipeline import localize_many
 from imgloc.runs.jobs import Answer, Item, Job, compared
@@ -36,6 +36,7 @@ class Localize(Job):
     known: Known = field(default_factory=Known)  #: what is known of all poses
     drawn: Drawn = field(default_factory=Drawn)  #: what is stated of the map's walls
     region: Path | None = None  #: an image as large as the map's, white where the robot may be
+    prior_image: Path | None = None  #: an image as large as the map's, whose greys are weights
     tolerance: Tolerance = TOLERANCES[-1]  #: how near a known pose an answer is a hit
 
     def __post_init__(self) -> None:
@@ -57,6 +58,9 @@ class Localize(Job):
         if self.region is not None:
             cells = region_of(self.region, features.grid, allow_lossy=self.maps.allow_lossy)
             prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+        if self.prior_image is not None:
+            greys = greys_of(self.prior_image, features.grid, allow_lossy=self.maps.allow_lossy)
+            prior &= Prior(None, None, {"prior_image": float(greys.mean())}, greys)
         options = replace(options, prior=prior)
         opened = Locating(self, desk, path, features, options, taken)
         return opened.with_true_poses() if taken.tried.poses_are_odometry else opened
@@ -157,6 +161,14 @@ class Locating:
 
 def region_of(path: Path, grid: OccupancyGrid, *, allow_lossy: bool) -> BoolArray:
     """The white pixels of an image that are not transparent, (H, W), row 0 lowest."""
+    cells = greys_of(path, grid, allow_lossy=allow_lossy) > 0.5
+    if not cells.any():
+        raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
+    return cells
+
+
+def greys_of(path: Path, grid: OccupancyGrid, *, allow_lossy: bool) -> FloatArray:
+    """The greys of an image, black 0 and white 1, (H, W), row 0 lowest; black if transparent."""
     size = image_size(path)[:2]  # of which there is memory enough if it is that of the map
     if size[::-1] != grid.occupied.shape:
         height, width = grid.occupied.shape
@@ -165,7 +177,4 @@ def region_of(path: Path, grid: OccupancyGrid, *, allow_lossy: bool) -> BoolArra
         )
     read = read_image(path, allow_lossy=allow_lossy)
     # The darkest channel decides, alpha being one of them: neither colour nor nothing is white.
-    cells: BoolArray = np.atleast_3d(read.pixels).min(axis=2)[::-1] > read.white // 2
-    if not cells.any():
-        raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
-    return cells
+    return np.asarray(np.atleast_3d(read.pixels).min(axis=2)[::-1] / read.white)

@@ -15,17 +15,18 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.files import PathLike
-from imgloc.model import BoolArray, OccupancyGrid
-from imgloc.options import RADIUS, TOLERANCE, Known, Prior
+from imgloc.model import BoolArray, FloatArray, OccupancyGrid
+from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Prior
 from imgloc.runs.localize import region_of
 from imgloc.search.priors import prior_of
 
 
 def near(
     place: OccupancyGrid | MapFeatures, x: float, y: float, theta: float, *,
-    radius: float = RADIUS, tolerance: float = TOLERANCE,
+    radius: float = RADIUS, tolerance: float = TOLERANCE, sd: tuple[float, float] | None = None,
+    weight: float = 1.0,
 ) -> Prior:  # fmt: skip
-    """Make the prior of a pose that is roughly known, as --near does.
+    """Make the prior of a pose that is roughly known, as --near does; with `sd` as --sd does.
 
     Parameters
     ----------
@@ -35,24 +36,33 @@ def near(
         The pose of the sensor in the map frame: metres, metres, radians.
     radius, tolerance : float
         How far it may be off: metres, radians.
+    sd : (float, float), optional
+        Standard deviations, metres and radians, in place of `radius` and `tolerance`: poses nearer
+        to it weigh more, and none is excluded.
+    weight : float
+        With `sd`: weight at the pose, 0.001 to 1, beside other poses.
 
     Returns
     -------
     Prior
-        For ``Options(prior=...)``; with ``&`` it is joined with another one.
+        For ``Options(prior=...)``; with ``&`` it is joined with another one. With ``|`` several
+        poses with `sd` are joined, of which one is right: tags, QR codes, radio.
 
     Raises
     ------
     ConfigError
         If a number is out of its range.
     """
+    if sd is not None:
+        return prior_of(Known(hints=(Hint(x, y, theta, *sd, weight),)), _grid(place))
     return prior_of(Known(near=(x, y, math.fmod(theta, math.tau), radius, tolerance)), _grid(place))
 
 
 def region(
-    place: OccupancyGrid | MapFeatures, cells: BoolArray | PathLike, *, allow_lossy: bool = False
-) -> Prior:
-    """Make the prior of a part of the map, as --region does.
+    place: OccupancyGrid | MapFeatures, cells: BoolArray | FloatArray | PathLike, *,
+    allow_lossy: bool = False,
+) -> Prior:  # fmt: skip
+    """Make the prior of a part of the map, as --region does; of weights, as --prior-image does.
 
     Parameters
     ----------
@@ -60,6 +70,7 @@ def region(
         The map.
     cells : (H, W) bool array, or path
         Where the sensor may be, row 0 the lowest y; or an image as large as the map's, white there.
+        Floats are weights, 0 to 1.
     allow_lossy : bool
         Accept an image with lossy compression.
 
@@ -76,10 +87,13 @@ def region(
     grid = _grid(place)
     if not isinstance(cells, np.ndarray):
         cells = region_of(Path(str(cells)), grid, allow_lossy=allow_lossy)
-    if cells.shape != grid.occupied.shape or cells.dtype != bool:
+    if cells.shape != grid.occupied.shape or cells.dtype.kind not in "bf":
         found = f"{cells.dtype} {cells.shape}"
         raise ConfigError(f"cells: got {found}, expected bool {grid.occupied.shape} as the map")
-    return Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+    if cells.dtype.kind == "f":
+        weights = np.asarray(cells, np.float64)
+        return Prior(None, None, {"prior_image": float(weights.mean())}, weights)
+    return Prior(np.asarray(cells, bool), None, {"region": {"cells": int(cells.sum())}})
 
 
 def _grid(place: OccupancyGrid | MapFeatures) -> OccupancyGrid:

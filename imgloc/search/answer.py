@@ -28,7 +28,12 @@ def answered(
     if len(found.poses):
         elsewhere = options.trust.mass_elsewhere(found.evidence.net, found.lead)
     mass = (1 - elsewhere) * found.share
-    verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
+    alone = (1 - elsewhere) * found.alone
+    weighed = options.prior.weights is not None or bool(options.prior.hints)
+    verdict, checks = judge(
+        scan.directions, mass, elsewhere, options.trust, found.complete,
+        alone=float(alone[0]) if weighed and len(alone) else None,
+    )  # fmt: skip
     arrays = (found.poses, found.log_likelihood, mass, found.covariance)
     listed = as_hypotheses(*(array[: options.listed(found.share)] for array in arrays))
     hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
@@ -58,7 +63,7 @@ def answered(
         # A search that was cut short may have missed the place: no radius holds it.
         protection=protection(
             found.poses,
-            mass,
+            np.maximum(mass, alone),  # weights may be wrong: no radius is smaller by them
             found.covariance,
             elsewhere if found.complete else 1.0,
             farthest=features.grid.diagonal,

@@ -26,12 +26,13 @@ def check_options(features: MapFeatures, options: Options) -> None:
         raise ConfigError("`thinner`: the map is too large to make its walls thinner; expected 0")
     if options.time_budget is not None and options.method != FUSED:
         raise ConfigError(f"a time budget is for the method {FUSED}, not for {options.method}")
-    prior = options.prior.cells
-    if prior is not None and prior.shape != features.standable.shape:
-        raise ConfigError(
-            f"the prior has cells of shape {prior.shape}, expected that of the map, "
-            f"{features.standable.shape}"
-        )
+    prior, weights = options.prior.cells, options.prior.weights
+    for one in (prior, weights):
+        if one is not None and one.shape != features.standable.shape:
+            raise ConfigError(
+                f"the prior has cells of shape {one.shape}, expected that of the map, "
+                f"{features.standable.shape}"
+            )
     if prior is not None and not (prior & features.standable).any():
         raise ConfigError("the prior leaves no cell of the map in which a sensor can be")
     if options.method == FUSED:

@@ -1,7 +1,9 @@
 """The prior: where the sensor may be before the scan is looked at, and which way it may face.
 
-A prior is a set of poses, all equally likely. All other poses have probability 0. A prior that
-excludes the twin of the true pose can therefore make an ambiguous scan unique.
+A prior is a set of poses. All other poses have probability 0. A prior that excludes the twin of the
+true pose can therefore make an ambiguous scan unique. Poses of the set may have weights, which
+multiply their masses once they are found. Somebody is sure of a set; a weight may be wrong. It
+therefore moves mass, and takes ``unique`` away, but never gives it.
 """
 
 from dataclasses import replace
@@ -15,12 +17,52 @@ from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid, Pose2D
 from imgloc.numbers import number
-from imgloc.options import Known, Prior
+from imgloc.options import Hint, Known, Prior
 
 SLIP = number("priors.slip")
 """How far outside of the prior a refined pose may lie and be brought back: metres, radians."""
 _REACH = number("priors.reach")  # the same in cells, for maps finer than 5 mm
+ASTRAY = number("priors.astray")
+"""Weight of poses far from all hints, because hints may be wrong; at a hint it is 1."""
 _LOOKS = 1 << 18  # cells that are looked at in one go
+
+
+def ranked(
+    prior: Prior, poses: FloatArray, share: FloatArray, resolution: float
+) -> tuple[IntArray, FloatArray]:
+    """Order of poses (M, 3), grid frame, by their shares (M,) times weights, and these shares.
+
+    Poses of weight 0 come last, with a share of 0; the others have the sum of all shares.
+
+    Examples
+    --------
+    >>> prior = Prior(weights=np.array([[0.2, 0.8, 0.0]]))
+    >>> poses = np.array([[0.5, 0.5, 0.0], [1.5, 0.5, 0.0], [2.5, 0.5, 0.0]])
+    >>> order, share = ranked(prior, poses, np.array([0.5, 0.25, 0.25]), 1.0)
+    >>> order.tolist(), share.round(3).tolist()
+    ([1, 0, 2], [0.667, 0.333, 0.0])
+    """
+    if prior.weights is None and not prior.hints:
+        return np.arange(len(share)), share
+    weight = np.ones(len(share))
+    if prior.weights is not None:
+        cells = cell_of(poses[:, :2], resolution)
+        height, width = prior.weights.shape
+        ok = inside(cells, GridInfo(height, width, resolution))
+        weight[~ok], weight[ok] = 0, prior.weights[tuple(cells[ok].T)]
+    for some in prior.hints:
+        weight *= np.maximum(sum(_at_hint(one, poses) for one in some), ASTRAY)
+    found = share * weight
+    order = np.argsort(-found, kind="stable")
+    return order, found[order] * (share.sum() / max(1e-300, found.sum()))
+
+
+def _at_hint(hint: Hint, poses: FloatArray) -> FloatArray:
+    """Weights (C,) of poses (C, 3) by one hint."""
+    x, y, theta = poses.T
+    square = (np.square(x - hint.x) + np.square(y - hint.y)) / hint.metres**2
+    square += np.square(wrap(theta - hint.theta) / hint.radians)
+    return np.asarray(hint.weight * np.exp(-square / 2))
 
 
 def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
@@ -106,7 +148,10 @@ def prior_of(known: Known, grid: OccupancyGrid) -> Prior:
     ((1.0, 0.1), True)
     """
     prior = Prior()
-    if known.near is not None:
+    hints = list(known.hints)
+    if known.near is not None and known.sd is not None:
+        hints.append(Hint(*known.near[:3], *known.sd))
+    elif known.near is not None:
         x, y, yaw, radius, tolerance = known.near
         at = in_grid_frame(Pose2D(x, y, yaw), grid)
         about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
@@ -119,6 +164,11 @@ def prior_of(known: Known, grid: OccupancyGrid) -> Prior:
     if known.clearance:
         cells = clearance(grid, known.clearance)
         prior &= Prior(cells, None, {"clearance": known.clearance})
+    if hints:
+        poses = (in_grid_frame(Pose2D(one.x, one.y, one.theta), grid) for one in hints)
+        own = (replace(one, **vars(pose)) for one, pose in zip(hints, poses, strict=True))
+        name = "hints" if known.hints else "near"
+        prior &= Prior(hints=(tuple(own),), about={name: [vars(one) for one in hints]})
     return prior
 
 

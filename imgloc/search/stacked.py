@@ -9,7 +9,7 @@ from imgloc.likelihoods.posterior import calibrated, entropy
 from imgloc.model import Evidence, Float32Array, FloatArray, LaserScan, Likelihood, Temperature
 from imgloc.options import DEFAULTS, Calibration, Options, Shared
 from imgloc.search.peaks import peaks_of_posterior
-from imgloc.search.priors import on_lattice
+from imgloc.search.priors import on_lattice, ranked
 from imgloc.search.weigh import MODES, Weighed, evidence_of, explained_rays, nothing, settle
 
 
@@ -27,15 +27,18 @@ def weigh_stack(
     poses, share, covariance, peaks = peaks_of_posterior(
         probability, stack.thetas, cell, n=n, separation=apart
     )
-    if len(poses) == 0:
+    order, weighed = ranked(options.prior, poses, share, features.grid.resolution)
+    if not weighed.any():
         return nothing(options)
+    poses, covariance, peaks = poses[order], covariance[order], peaks[order]
     how = options.calibration or DEFAULTS.get(stack.method, Calibration())
     temperature = how.temperature_at(stack.method, int(scan.valid.sum()))
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):
         score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
     fit, explained = _settled_fit(features, scan, poses[:1], temperature, options)
-    return Weighed(poses, score, share, covariance, fit, explained, entropy=entropy(probability))
+    spread = entropy(probability)
+    return Weighed(poses, score, weighed, share[order], covariance, fit, explained, entropy=spread)
 
 
 def _settled_fit(

@@ -16,8 +16,9 @@ DOUBT = number("trust.doubt")  #: probability *elsewhere* above which the verdic
 
 
 def judge(
-    directions: int, mass: FloatArray, elsewhere: float, trust: Trust, complete: bool = True
-) -> tuple[str, tuple[Check, ...]]:
+    directions: int, mass: FloatArray, elsewhere: float, trust: Trust, complete: bool = True,
+    *, alone: float | None = None,
+) -> tuple[str, tuple[Check, ...]]:  # fmt: skip
     """Return the verdict on an answer, and the checks that led to it.
 
     Parameters
@@ -34,6 +35,8 @@ def judge(
         Limits of the checks.
     complete : bool
         Whether the search came to its end. Poses that it did not reach may fit as well.
+    alone : float, optional
+        Mass of the best by the scan alone, if `mass` is that with the weights of a prior.
 
     Returns
     -------
@@ -55,6 +58,8 @@ def judge(
         ("no-match", Check("elsewhere", elsewhere, DOUBT, False)),
         ("ambiguous", Check("mass", best, trust.mass, True)),
     ]
+    if alone is not None:
+        questions.append(("ambiguous", Check("alone", alone, trust.mass, True)))
     if not complete:
         questions.append(("ambiguous", Check("complete", 0.0, 1.0, True)))
     asked = tuple(check for _, check in questions)

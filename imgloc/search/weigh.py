@@ -15,7 +15,7 @@ from imgloc.search.background import unmapped_score
 from imgloc.search.faces import depth_of, on_faces
 from imgloc.search.hypotheses import BLOCKS, covariances, covariances_from, masses
 from imgloc.search.modes import Modes, temperature_of
-from imgloc.search.priors import stands
+from imgloc.search.priors import ranked, stands
 from imgloc.search.refine import block_sums, refine
 from imgloc.search.rescore import Scores, score_poses, things_at
 
@@ -39,6 +39,7 @@ class Weighed:
     poses: FloatArray  #: (M, 3) metres, metres, radians
     log_likelihood: FloatArray  #: (M,) nats, up to a constant of the scan
     share: FloatArray  #: (M,) mass of each pose if the true pose is one of them
+    alone: FloatArray  #: (M,) the same by the scan alone, without the weights of the prior
     covariance: FloatArray  #: (L, 3, 3) covariances of the first L poses, at least those listed
     evidence: Evidence  #: how well the best pose fits; the answer adds the rest
     explained: float = 0.0  #: share of the valid rays that the best pose explains, 0..1
@@ -53,7 +54,7 @@ def nothing(options: Options, complete: bool = True) -> Weighed:
     """The result of a search that found no pose."""
     none = np.empty(0)
     fit = Evidence(best=options.model.best)
-    return Weighed(np.empty((0, 3)), none, none, np.empty((0, 3, 3)), fit, complete=complete)
+    return Weighed(np.empty((0, 3)), none, none, none, np.empty((0, 3, 3)), fit, complete=complete)
 
 
 def weigh(
@@ -69,13 +70,18 @@ def weigh(
     """
     if len(found.poses) == 0:
         return nothing(options, found.complete)
-    fit = evidence_with(features, found, options)
-    shared, explained, options = found.shared, 0.0, replace(options, shared=found.shared)
-    there = features.thinner(shared.thinner)
-    score = found.scores.things
-    share = masses(score, fit.temperature.value)
-    lead = float(share[0])
-    listed = options.listed(share)
+    known, shared, explained = options, found.shared, 0.0
+    options, cell = replace(options, shared=shared), features.grid.resolution
+    there, score = features.thinner(shared.thinner), found.scores.things
+    temperature = temperature_of(found.scores, len(found.readings), options, cell)
+    alone = masses(score, temperature.value)
+    order, share = ranked(options.prior, found.poses, alone, cell)
+    if not share.any():
+        return nothing(options, found.complete)
+    alone, score, listed = alone[order], score[order], options.listed(share)
+    fit = evidence_with(features, found, known, int(order[0]))
+    spread = None if found.spread is None else found.spread[order]
+    found = replace(found, poses=found.poses[order], spread=spread)
     poses = found.poses.copy()
     if shared.bent:
         covariance = covariances_there(there, poses[:listed], found.readings, options, found.spread)
@@ -86,7 +92,8 @@ def weigh(
         covariance = covariance + swept(scan.duration, lever, options)
         explained = explained_rays(features, scan, poses[:1], options, shared)
     whole = found.complete
-    return Weighed(poses, score, share, covariance, fit, explained, lead, complete=whole)
+    lead = float(alone[0])
+    return Weighed(poses, score, share, alone, covariance, fit, explained, lead, complete=whole)
 
 
 def covariances_there(
@@ -145,11 +152,11 @@ def stand_on_faces(
     return np.where(stands_there, there.poses, poses), covariance
 
 
-def evidence_with(features: MapFeatures, found: Modes, options: Options) -> Evidence:
-    """How well the best mode fits, with the error that the search has found beyond a known one."""
+def evidence_with(features: MapFeatures, found: Modes, options: Options, at: int = 0) -> Evidence:
+    """How well the mode `at` fits, with the error that the search has found beyond a known one."""
     shared, cell = found.shared, features.grid.resolution
     there, known = features.thinner(shared.thinner), replace(options, shared=shared)
-    fit = evidence_of(there, found.readings, found.scores, known, found.floor)
+    fit = evidence_of(there, found.readings, found.scores, known, found.floor, at)
     return replace(
         fit, scale=shared.scale, thinner=shared.thinner * cell, bent=shared.bent,
         against=fit.against + price(shared, options.shared, cell),
@@ -162,11 +169,16 @@ def evidence_of(
     scores: Scores,
     options: Options,
     floor: Floor | None = None,
+    at: int | None = None,
 ) -> Evidence:
-    """How well the best of some poses fits, by readings from which a `floor` was left out."""
+    """How well the best of some poses, or that `at` an index, fits by some readings.
+
+    A `floor` was left out of these.
+    """
     n, model = len(readings), options.model
     temperature = temperature_of(scores, n, options, features.grid.resolution)
-    unmapped, best = unmapped_score(readings, model), int(np.argmax(scores.things))
+    unmapped = unmapped_score(readings, model)
+    best = int(np.argmax(scores.things)) if at is None else at
     gained = (float(scores.things[best]) - unmapped * n) / temperature.value
     mapped, through = int(scores.mapped[best]), int(scores.through[best])
     against = _PIECES * math.log((1 + through) / (1 + mapped))

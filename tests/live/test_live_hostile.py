@@ -16,9 +16,9 @@ import imgloc
 from imgloc.errors import ConfigError
 from imgloc.live.localizer import Localizer
 from imgloc.live.node import LocalizerNode, load_ros, with_parameters
-from imgloc.live.settings import Settings
-from imgloc.live.status import ERROR
-from imgloc.options import Options, Sensor
+from imgloc.live.settings import Measured, Settings
+from imgloc.live.status import ERROR, Found, weighed
+from imgloc.options import TOLERANCE, Hint, Options, Sensor
 from imgloc.ranges import declared
 from imgloc.simulation.scans import simulate
 
@@ -185,6 +185,36 @@ def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
     assert laser.frame == ""  # it is left out
 
 
+def test_hints_move_with_the_robot_and_some_cannot_be(heard: Heard) -> None:
+    heard.send("map", heard.map())
+    heard.until(lambda: heard.core.ready)
+    heard.send("odom", at := heard.odometry())
+    message = heard.stamped(heard.ros.geometry_msgs.PoseWithCovarianceStamped(), "map")
+    message.header.stamp = at.header.stamp
+    message.pose.covariance[0] = message.pose.covariance[7] = 0.25
+    for x in (NAN, 2.0):
+        message.pose.pose.position.x = x
+        heard.send("imgloc/hint", message)
+    message.header.frame_id = "odom"
+    heard.send("imgloc/hint", message)
+    heard.send("odom", heard.odometry(1.0))
+    (hint,) = heard.node._hinted(heard.node._moves.last, imgloc.Pose2D(0.5, 0.0))
+    assert (hint.x, hint.y, hint.metres) == pytest.approx((3.5, 0.0, 0.5))
+    assert hint.radians == TOLERANCE  # nobody said how sure the heading is
+    assert not heard.node._hinted(heard.node._moves.last + 100)
+    start, *_ = found = weighed_by(hint)
+    assert [one.verdict for one in found] == ["unique", "ambiguous", "unique"]
+    assert (found[1].why, found[2].masses > start.masses) == ("hinted", True)
+
+
+def weighed_by(hint: Hint) -> tuple[Found, ...]:
+    """A unique answer: as it is, with a hint at its second place, and with one at its first."""
+    here, there = imgloc.Pose2D(hint.x, hint.y), imgloc.Pose2D(hint.x + 9, hint.y)
+    found = Found(1.0, "map", "unique", (there, here), (0.95, 0.05), np.eye(3))
+    other = replace(found, poses=(here, there))
+    return found, weighed(found, (hint,), 0.9), weighed(other, (hint,), 0.9)
+
+
 def test_poses_are_in_the_frame_of_a_map_that_lies_anywhere(heard: Heard) -> None:
     """The origin is far off and turned, and its quaternion is not quite one."""
     yaw, z = 2 * math.atan2(0.6, 0.8), 1.3
@@ -241,7 +271,7 @@ def test_one_stale_scan_changes_nothing_and_a_clock_set_back_does(heard: Heard) 
 def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
     heard: Heard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("imgloc.live.node._LATE", 0.2)
+    monkeypatch.setattr("imgloc.live.node.MEASURED", Measured(late=0.2))
     heard.send("map", heard.map())
     heard.until(lambda: heard.core.ready)
     laser = heard.node.lasers[0]
@@ -264,7 +294,10 @@ def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
         ({"scan_timeout": NAN}, "scan_timeout: got nan"),
         ({"least_deviation": (1.0,)}, "least_deviation: got (1.0,), expected 2 values"),
         ({"least_deviation": (NAN, 1.0)}, "least_deviation[0]: got (nan, 1.0), expected metres"),
-        ({"scan_topics": ()}, "scan_topics: got (), expected at least one value"),
+        (
+            {"cloud_topics": ("a",), "height": (0.4, 0.2)},
+            "height: got (0.4, 0.2), expected a lower",
+        ),
         ({"map_frame": "/"}, "map_frame: got '/', expected the name of a frame"),
         ({"sensor": (0.0, 0.0, INF)}, "sensor[2]: got (0.0, 0.0, inf), expected metres"),
     ],
@@ -289,7 +322,7 @@ def test_each_parameter_has_the_text_the_limits_and_the_default_of_its_option(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--scan", "bad topic"), "parameter scan_topics: got 'bad topic': Invalid topic name"),
+        (("--scan", "bad topic"), "topic: got 'bad topic': Invalid topic name"),
         (("--ros-args", "-p", "sensor:=['a','b','c']"), "parameter sensor[0]: got ('a', 'b', 'c')"),
         (("--ros-args", "-p", "least_deviation:=[1.0]"), "parameter least_deviation: got (1.0,)"),
     ],

@@ -506,6 +506,21 @@ def test_a_region_is_that_of_the_command_line(
     assert answers(there.text) == untimed(here.out)
 
 
+def test_what_may_be_wrong_is_that_of_the_command_line(http: httpx.Client, scans: Path) -> None:
+    here = call("localize", MAP, scans, "--json", "--near", "3,2,0.5", "--sd", "0.5,0.2")
+    ask = "/v1/localize?map=visibility&"
+    there = http.post(f"{ask}near=3,2,0.5&sd=0.5,0.2", content=scans.read_bytes())
+    assert answers(there.text) == untimed(here.out)
+    hinted = http.post(f"{ask}hints=3,2,0.5,0.5,0.2,1", content=scans.read_bytes())
+    masses = [
+        [[h["mass"] for h in json.loads(line)["hypotheses"]] for line in one.text.splitlines()]
+        for one in (there, hinted)
+    ]
+    assert masses[0] == masses[1]
+    bad = http.post(f"{ask}hints=3,2,0.5,0.5,0.2,1,7", content=scans.read_bytes())
+    assert "expected six for each pose" in problem(bad, 422, "bad-options")
+
+
 # What is wrong is said, as a problem document.
 
 

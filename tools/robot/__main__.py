@@ -62,6 +62,7 @@ def main() -> int:
     play.add_argument("--after", type=float, default=5.0, help="how many seconds later")
     play.add_argument("--no-map", action="store_true")
     play.add_argument("--lasers", type=int, choices=(1, 2), default=1)
+    play.add_argument("--cloud", action="store_true", help="points instead of scans")
     play.add_argument("--best-effort", action="store_true")
     play.add_argument("--disturb", choices=DISTURBED, default="", help="every other scan")
     play.add_argument("--freeze", choices=FROZEN, default="", help="of the first scan, repeated")
@@ -120,17 +121,9 @@ def _node(name: str) -> tuple[Any, Any]:
 def _play(given: argparse.Namespace) -> int:
     log, grids = _given(given)
     names = (
-        "lasers",
-        "best_effort",
-        "disturb",
-        "freeze",
-        "clock",
-        "first",
-        "count",
-        "times",
-        "amcl",
-        "stay",
-    )
+        "lasers", "cloud", "best_effort", "disturb", "freeze", "clock", "first", "count", "times",
+        "amcl", "stay",
+    )  # fmt: skip
     ros, node = _node("player")
     how = Playing(**{name: getattr(given, name) for name in names})
     player = Player(ros, node, how, write_to(given.write))

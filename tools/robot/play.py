@@ -30,6 +30,7 @@ class Playing:
     """How a log is played."""
 
     lasers: int = 1  #: two: the front half of each scan is a laser, the rear half another one
+    cloud: bool = False  #: of points, on /points: walls, and a floor before them
     best_effort: bool = False
     disturb: str = ""  #: one of `DISTURBED`
     freeze: str = ""  #: one of `FROZEN`
@@ -82,10 +83,10 @@ class Player:
         self._map = node.create_publisher(ros.nav_msgs.OccupancyGrid, "map", latched)
         self._odom = node.create_publisher(ros.nav_msgs.Odometry, "odom", sensor)
         self._frozen = dict[Any, Any]()  # the first message of each publisher
-        self._scans = [
-            node.create_publisher(ros.sensor_msgs.LaserScan, topic, sensor)
-            for topic in topics_of(how.lasers)
-        ]
+        kind, topics = ros.sensor_msgs.LaserScan, topics_of(how.lasers)
+        if how.cloud:
+            kind, topics = ros.sensor_msgs.PointCloud2, ("points",)
+        self._scans = [node.create_publisher(kind, topic, sensor) for topic in topics]
         self._amcl: Any = None
         if how.amcl is not None:
             kind = ros.geometry_msgs.PoseWithCovarianceStamped
@@ -155,7 +156,8 @@ class Player:
             fill(message, {"pose": {"pose": pose_fields(Pose2D(*odom))}})
             self._odom.publish(message)
         for publisher, part in zip(self._scans, _parts(scan, self._how.lasers), strict=True):
-            message = _message(self._ros, part, at, wrong)
+            make = _cloud if self._how.cloud else _message
+            message = make(self._ros, part, at, wrong)
             first = self._frozen.setdefault(publisher, message)
             if self._how.freeze:
                 message.ranges = first.ranges
@@ -196,6 +198,17 @@ def _message(ros: Any, scan: LaserScan, at: dict[str, int], wrong: str) -> Any:
         "header": {"stamp": at, "frame_id": "laser"},
     }  # fmt: skip
     return fill(ros.sensor_msgs.LaserScan(), fields)
+
+
+def _cloud(ros: Any, scan: LaserScan, at: dict[str, int], _: str) -> Any:
+    there, kind = scan.ranges[scan.valid], ros.sensor_msgs.PointField
+    xy = there[:, None] * np.column_stack((np.cos(a := scan.angles[scan.valid]), np.sin(a)))
+    layers = [(xy, 0.3), (xy, 0.2), (0.5 * xy, -0.1)]
+    points = np.concatenate([np.insert(at, 2, z, axis=1) for at, z in layers]).astype(np.float32)
+    message = ros.sensor_msgs.PointCloud2(height=1, width=len(points), point_step=12)
+    message.fields = [kind(name=n, offset=4 * k, datatype=7, count=1) for k, n in enumerate("xyz")]
+    message.data.frombytes(points.tobytes())
+    return fill(message, {"header": {"stamp": at, "frame_id": "lidar"}})
 
 
 def write_to(path: Path | None) -> TextIO | None:
