@@ -12,7 +12,7 @@ from pathlib import Path
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
-from imgloc.output.canvas import draw_map
+from imgloc.output.features import draw_map
 from imgloc.output.pictures import mosaic
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import parser_of
@@ -46,7 +46,7 @@ def main() -> None:
         print(path)
     if arguments.picture is not None:
         worlds = [(name, render(world(), RESOLUTION)) for name, world in WORLDS.items()]
-        sheet = mosaic([(name, draw_map(grid)) for name, grid in worlds])
+        sheet = mosaic([draw_map(grid, name).image for name, grid in worlds])
         write_bytes_atomic(arguments.picture, encode_png(sheet), force=True)
         print(arguments.picture)
 

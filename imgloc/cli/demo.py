@@ -69,15 +69,10 @@ def demo(
     LOG.info("map %s, seed %d", display(path), seed)
     emit(answer_text(f"map {name}, seed {seed}", answer, truth))
     stack = draw(grid, likelihood(features, scan, cbml), truth=truth).image
-    caption = (
-        "CBML: likelihood of each position at its best heading, black is high; red is the truth"
-    )
-    about = f"fused: the scan at each hypothesis; verdict: {answer.verdict}"
-    pictures = [(caption, stack), (about, draw(grid, answer, scan, truth=truth).image)]
+    where = draw(grid, answer, scan, truth=truth).image
     target = out or _OUT
     if out is None and not force:
         names = (_OUT.with_stem(f"{_OUT.stem}-{k}") for k in itertools.count(1))
         target = next(p for p in itertools.chain([_OUT], names) if not os.path.lexists(p))
-    sheet = mosaic(pictures, columns=2, top=True)
-    Picture(sheet).save(target, force=force)
+    Picture(mosaic([stack, where], columns=2)).save(target, force=force)
     emit(f"\npicture: {display(target)}")

@@ -17,9 +17,8 @@ from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings, yaml_text
 from imgloc.lab.align import SCALES, Alignment
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.output.axes import finished
-from imgloc.output.canvas import INK, PAPER, SHADE, Colour, building, sheet
-from imgloc.output.pictures import Picture
+from imgloc.output.canvas import INK, PAPER, SHADE, Canvas, Colour, building, sheet
+from imgloc.output.plots import AREA, framed
 
 BOTH, ONLY_A, ONLY_B = INK, (178, 114, 0), (0, 94, 213)
 _SEEN: Colour = (247, 245, 243)  # free in one of them
@@ -173,7 +172,7 @@ def moved_yaml(settings: MapSettings, found: Alignment, folder: Path) -> str:
 
 def draw_alignment(
     a: OccupancyGrid, b: OccupancyGrid, found: Alignment, names: Sequence[str] = ("A", "B")
-) -> Picture:
+) -> Canvas:
     """Draw `b` over `a`: walls of both, and walls of one where the other is free or unknown.
 
     Nothing bends: walls that the maps have in two places are drawn twice. Without a match the best
@@ -196,39 +195,29 @@ def draw_alignment(
         cells = cell_of(xy, grid.resolution)
         on = inside(cells, grid.info)
         rows, columns = np.where(on[:, None], cells, 0).T
-        layers.append(
-            [
-                (on & image[rows, columns]).reshape(height, width)
-                for image in (grid.occupied, grid.free)
-            ]
-        )
+        images = (on & image[rows, columns] for image in (grid.occupied, grid.free))
+        layers.append([image.reshape(height, width) for image in images])
     (wall_a, free_a), (wall_b, free_b) = layers
-    image = np.empty((height, width, 3), np.uint8)
-    image[:] = SHADE
-    image[free_a | free_b] = _SEEN
-    image[free_a & free_b] = PAPER
     near = _NEAR / cell
     beside_a, beside_b = (distance_image(wall) <= near for wall in (wall_a, wall_b))
-    image[wall_a] = ONLY_A
-    image[wall_b] = ONLY_B
-    image[(wall_a & beside_b) | (wall_b & beside_a)] = BOTH
+    both = (wall_a & beside_b) | (wall_b & beside_a)
+    classes = np.zeros((height, width), np.uint8)
+    for k, cells in enumerate((free_a | free_b, free_a & free_b, wall_a, wall_b, both), 1):
+        classes[cells] = k
     left, bottom = transform_points(a.origin, low[None])[0]
-    shown = OccupancyGrid(
-        wall_a | wall_b,
-        (free_a | free_b) & ~(wall_a | wall_b),
-        cell,
-        Pose2D(left, bottom, a.origin.theta),
-    )
-    canvas = sheet(image, shown.info, building(shown)[1])
+    walls, origin = wall_a | wall_b, Pose2D(left, bottom, a.origin.theta)
+    shown = OccupancyGrid(walls, (free_a | free_b) & ~walls, cell, origin)
+    palette = (SHADE, _SEEN, PAPER, ONLY_A, ONLY_B, BOTH)
+    canvas = sheet(classes, shown.info, building(shown), palette)
     entries = [
-        (BOTH, f"walls of both, at most {_NEAR:g} m apart: {100 * place.agreement.share:.0f} %"),
-        (ONLY_A, f"only in {names[0]}"),
-        (ONLY_B, f"only in {names[1]}"),
-        (_SEEN, "seen in one of them"),
+        (BOTH, AREA, f"walls of both, within {_NEAR:g} m: {100 * place.agreement.share:.0f} %"),
+        (ONLY_A, AREA, f"only in {names[0]}"),
+        (ONLY_B, AREA, f"only in {names[1]}"),
+        (_SEEN, AREA, "seen in one of them"),
     ]
     at = f"x {x:.2f} m, y {y:.2f} m, turned by {math.degrees(theta):.1f} degrees"
     title = f"{names[1]} in the frame of {names[0]}: {found.verdict}, {at}"
-    return Picture(finished(canvas, shown, title, entries))
+    return framed(canvas, shown.origin, title, entries)
 
 
 def _corners(grid: OccupancyGrid) -> FloatArray:

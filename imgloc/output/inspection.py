@@ -15,7 +15,7 @@ from imgloc.io.kinds import Kind
 from imgloc.model import FloatArray, LaserScan, plain
 from imgloc.output.canvas import INK, PALETTE, TRUTH, Colour
 from imgloc.output.pictures import Picture
-from imgloc.output.plots import blank, ink
+from imgloc.output.plots import blank, ink, words
 from imgloc.output.tables import percent
 
 _FIRST = ("LaserScan", "PointCloud2", "Odometry", "OccupancyGrid", "TFMessage")
@@ -163,7 +163,7 @@ def _on_map(facts: Mapping[str, Any]) -> str:
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:
     """Draw the path of the odometry, one scan, and the histogram of ranges."""
     figure, pixels = blank(14.4, 5.6, layout="constrained")
-    figure.suptitle(name[-120:], parse_math=False)
+    figure.suptitle(words(name[-120:]))
     way, seen, ranges = figure.subplots(1, 3)
     path, (counts, edges) = report.path, report.histogram
     metres = 0.0

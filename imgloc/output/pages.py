@@ -172,6 +172,6 @@ _FILTERS: tuple[Callable[..., object], ...] = (
 _DRAWINGS: tuple[Callable[..., object], ...] = (svg.draw_scan, svg.draw_rays, svg.draw_covariance)
 svg.ENVIRONMENT.filters |= {f.__name__: f for f in _FILTERS} | {
     "digits": minus,
-    "png": lambda likelihood, grid: svg.data_of(draw_likelihood(likelihood, grid=grid)),
+    "png": lambda likelihood, grid: svg.data_of(draw_likelihood(likelihood, grid).image),
 }
 svg.ENVIRONMENT.globals |= {f.__name__: f for f in _DRAWINGS}

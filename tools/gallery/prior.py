@@ -22,5 +22,5 @@ def picture() -> Picture:
     sheets = []
     for title, prior in (("nothing known", Prior()), ("roughly where", place)):
         answer = localize(features, scan, Options(prior=prior))
-        sheets.append((f"{title}: {answer.verdict}", draw(features, answer, scan).image))
+        sheets.append(draw(features, answer, scan, title=title).image)
     return Picture(mosaic(sheets, columns=1))

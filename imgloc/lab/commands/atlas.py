@@ -71,7 +71,9 @@ def atlas(
         journal.close()
     spots = [Spot.of(row) for row in journal.rows]
     title = f"{map_name(map_path)}: is one scan enough? {len(spots):,} scans, {step:g} m apart"
-    picture = Picture(draw_atlas(found.grid, spots, step=step, headings=headings, title=title))
+    picture = Picture(
+        draw_atlas(found.grid, spots, step=step, headings=headings, title=title).image
+    )
     if csv is not None:
         write_text_atomic(csv, as_csv(journal.rows), force=force)
     picture.save(out, force=force)

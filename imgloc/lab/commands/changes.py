@@ -96,7 +96,7 @@ def changes(
     count = sum(part.given for part in parts)
     if out is not None:
         title = f"{map_name(map_path)}: changes by {found.seen.scans} scans with a sure pose"
-        Picture(draw_changes(found, title)).save(out, force=force)
+        Picture(draw_changes(found, title).image).save(out, force=force)
     if update is not None:
         save_map(update, found.mended, force=force)
     row: dict[str, Any] = {"map": display(map_path), "given": count, **found.as_row()}
