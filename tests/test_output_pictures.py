@@ -30,8 +30,8 @@ from imgloc.output.canvas import (
     SHADE,
     TRUTH,
     TURQUOISE,
-    Canvas,
     Part,
+    Picture,
     building,
     map_canvas,
     sheet,
@@ -174,7 +174,7 @@ def at(picture, x, y):
 
 @pytest.mark.parametrize("theta", np.arange(8) * np.pi / 4)
 def test_the_nose_of_a_robot_points_along_theta(theta):
-    canvas = Canvas(np.full((100, 100, 3), 255, np.uint8), 10.0)
+    canvas = Picture(np.full((100, 100, 3), 255, np.uint8), 10.0)
     canvas.robot(5.0, 5.0, theta, (0, 0, 200), 12.0)
     y, x = np.nonzero(close(canvas.image, (0, 0, 200)))
     far = np.argmax(np.hypot(x - 49.5, y - 49.5))
@@ -184,7 +184,7 @@ def test_the_nose_of_a_robot_points_along_theta(theta):
 
 
 def test_centres_of_pixels_are_at_integers():
-    canvas = Canvas(np.zeros((40, 60, 3), np.uint8), 10.0)
+    canvas = Picture(np.zeros((40, 60, 3), np.uint8), 10.0)
     np.testing.assert_allclose(canvas.pixels(np.array([[0.05, 0.05]])), [[0, 39]])
     canvas.dots(np.array([[2.05, 1.05]]), (0, 0, 255), 3)
     np.testing.assert_allclose(np.argwhere(canvas.image[..., 2]).mean(axis=0), (29, 20))
@@ -277,7 +277,7 @@ def test_a_fan_covers_what_is_seen(alpha, seen):
 def test_a_mosaic_has_every_picture():
     colours = [(10, 20, 30), (40, 50, 60), (70, 80, 90)]
     pictures = [np.full((20 + 10 * k, 60, 3), c, np.uint8) for k, c in enumerate(colours)]
-    laid = mosaic(pictures, columns=2)
+    laid = mosaic([Picture(p) for p in pictures], columns=2).image
     for picture, colour in zip(pictures, colours, strict=True):
         (rows, _) = np.nonzero(coloured(laid, colour))
         assert len(rows) == picture.shape[0] * picture.shape[1]
@@ -378,7 +378,7 @@ def test_ticks_are_where_the_axes_of_the_map_frame_have_them(turn, monkeypatch):
         add(self, edge, x, y, spots, names)
 
     monkeypatch.setattr(_Sheet, "add_ticks", noted)
-    canvas = Canvas(np.full((400, 600, 3), 255, np.uint8), 100.0, (2.0, 1.0))
+    canvas = Picture(np.full((400, 600, 3), 255, np.uint8), 100.0, (2.0, 1.0))
     framed(canvas, origin)
     swapped = abs(np.sin(turn)) > abs(np.cos(turn))
     for edge in (0, 1):
@@ -406,7 +406,7 @@ def test_a_cell_is_where_the_axes_say():
 
 def test_a_map_is_in_its_frame_pixel_by_pixel():
     rng = np.random.default_rng(1)
-    canvas = Canvas(rng.integers(0, 256, (60, 500, 3), dtype=np.uint8), 50.0)
+    canvas = Picture(rng.integers(0, 256, (60, 500, 3), dtype=np.uint8), 50.0)
     framed_map = framed(canvas, Pose2D(0.33, 0.27), "noise")
     assert framed_map.px_per_m == 50.0
     (left, low), *_ = np.rint(framed_map.pixels(np.zeros((1, 2))) + 0.5).astype(int).tolist()
@@ -418,7 +418,7 @@ def test_a_map_is_in_its_frame_pixel_by_pixel():
 
 @pytest.mark.parametrize("shape", [(900, 12), (12, 900), (20, 20), (700, 900)])
 def test_nothing_is_cut_off(shape):
-    canvas = Canvas(np.full((*shape, 3), 255, np.uint8), 10.0)
+    canvas = Picture(np.full((*shape, 3), 255, np.uint8), 10.0)
     for words in ("west", "west_" * 40, "a b " * 60, "5 $ and 6 $ \x1b \u5b57"):
         entries = [(INK, AREA, words), (INK, "", "short"), (PALETTE[0], ROBOT, "1 2.0 3.0")]
         bar = Bar(np.zeros((1, 9, 3), np.uint8), 0.0, 1.0, 0.5, "share of much " * 5)

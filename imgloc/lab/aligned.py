@@ -1,4 +1,4 @@
-"""What is written of two maps that lie on each other: text, picture, poses, YAML."""
+"""Two maps that lie on each other, written: text, picture, poses, YAML."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings, yaml_text
 from imgloc.lab.align import SCALES, Alignment
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.output.canvas import INK, PAPER, SHADE, Canvas, Colour, building, sheet
+from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, building, sheet
 from imgloc.output.plots import AREA, framed
 
 BOTH, ONLY_A, ONLY_B = INK, (178, 114, 0), (0, 94, 213)
@@ -73,7 +73,7 @@ def _no_match_text(best: Mapping[str, Any], *, scanned: bool) -> list[str]:
 
 
 def _thickness(metres: float) -> str:
-    """What the walls of B are beside those of A."""
+    """Compare walls of B with those of A, in words: thicker or thinner."""
     if abs(metres) < 0.005:
         return "walls of both are as thick"
     return f"walls of B are {abs(metres):.2f} m {'thicker' if metres > 0 else 'thinner'}"
@@ -160,7 +160,7 @@ def moved_text(given: Waypoints, found: Alignment) -> str:
 
 
 def moved_yaml(settings: MapSettings, found: Alignment, folder: Path) -> str:
-    """The YAML, for a file in a folder, of `b`, read as `settings` say, in the frame of `a`."""
+    """The YAML, for a file in a folder, of `b`, read by its `settings`, in the frame of `a`."""
     place = found.best
     if place is None:
         raise ConfigError("expected maps that match")
@@ -172,7 +172,7 @@ def moved_yaml(settings: MapSettings, found: Alignment, folder: Path) -> str:
 
 def draw_alignment(
     a: OccupancyGrid, b: OccupancyGrid, found: Alignment, names: Sequence[str] = ("A", "B")
-) -> Canvas:
+) -> Picture:
     """Draw `b` over `a`: walls of both, and walls of one where the other is free or unknown.
 
     Nothing bends: walls that the maps have in two places are drawn twice. Without a match the best

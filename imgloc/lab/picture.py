@@ -8,7 +8,7 @@ from imgloc.geometry import in_grid_frame
 from imgloc.lab.atlas import Spot
 from imgloc.lab.changes import Changes
 from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.output.canvas import INK, PAPER, SHADE, Canvas, Colour, building, map_canvas, sheet
+from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, building, map_canvas, sheet
 from imgloc.output.plots import AREA, Entry, framed
 
 ATLAS_COLOURS: Mapping[str, Colour] = {
@@ -38,7 +38,7 @@ def _red(places: int) -> int:
 
 def draw_atlas(
     grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int, title: str = ""
-) -> Canvas:
+) -> Picture:
     """Draw where a single scan is enough, and where it is not by how many places fit.
 
     Places are `step` metres apart. Each of the `headings` at a place has a wedge that points along
@@ -50,8 +50,8 @@ def draw_atlas(
     arc = np.linspace(-half, half, 9)
     for spot in spots:
         pose = in_grid_frame(spot.pose, grid)
-        sure = spot.kind != "ambiguous"
-        colour = ATLAS_COLOURS[spot.kind] if sure else REDS[_red(spot.places)][1]
+        red = spot.kind == "ambiguous"
+        colour = REDS[_red(spot.places)][1] if red else ATLAS_COLOURS[spot.kind]
         rim = 0.46 * step * np.column_stack((np.cos(arc + pose.theta), np.sin(arc + pose.theta)))
         canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), colour)
     canvas.image[(map_canvas(grid, part, INK).image == INK).all(axis=2)] = INK
@@ -72,7 +72,7 @@ def draw_atlas(
 GONE, NEW = (0, 94, 213), (178, 114, 0)
 
 
-def draw_changes(changes: Changes, title: str = "") -> Canvas:
+def draw_changes(changes: Changes, title: str = "") -> Picture:
     """Draw a map with its walls that are gone and the surfaces that are new, a ring around each."""
     grid, seen = changes.grid, changes.seen
     looked = (seen.near > 0) | (seen.passed > 0)

@@ -6,11 +6,14 @@ and nowhere else. What is around the pixels is in :mod:`imgloc.output.plots`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.io.files import PathLike, write_bytes_atomic
+from imgloc.io.images import encode_picture
 from imgloc.model import FloatArray, GridInfo, OccupancyGrid, Pose2D
 
 Image = npt.NDArray[np.uint8]
@@ -32,20 +35,35 @@ _AROUND = 1.0  # metres around a building that belong to its picture
 _SHIFT = 4  # positions are drawn to a sixteenth of a pixel
 
 
-@dataclass(frozen=True)
-class Canvas:
-    """A picture of a part of the plane.
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture of a part of the plane: to look at, in a notebook too, to save, to draw on.
 
     Examples
     --------
-    >>> canvas = Canvas(np.zeros((40, 30, 3), np.uint8), 10.0)
-    >>> canvas.pixels(np.array([[0.0, 0.0], [3.0, 4.0]])).tolist()
+    >>> picture = Picture(np.zeros((40, 30, 3), np.uint8), 10.0)
+    >>> picture.pixels(np.array([[0.0, 0.0], [3.0, 4.0]])).tolist()
     [[-0.5, 39.5], [29.5, -0.5]]
     """
 
     image: Image  #: drawn on in place
-    px_per_m: float  #: pixels per metre
-    corner: tuple[float, float] = (0.0, 0.0)  #: the lower left one, metres
+    px_per_m: float = 1.0  #: pixels per metre of the map
+    corner: tuple[float, float] = (0.0, 0.0)  #: the lower left one, grid frame, metres
+
+    def save(self, path: PathLike, *, force: bool = False) -> None:
+        """Write it, whole or not at all, as PNG, JPEG or WebP, by the ending of the name.
+
+        A ConfigError for another name; an OutputError if it exists, without `force`.
+        """
+        data = encode_picture(self.image, Path(path).suffix.lower().replace("jpg", "jpeg")[1:])
+        write_bytes_atomic(path, data, force=force)
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        return f"<Picture of {width} x {height} pixels; save(path) writes it>"
+
+    def _repr_png_(self) -> bytes:
+        return encode_picture(self.image)
 
     @property
     def box(self) -> FloatArray:
@@ -109,7 +127,7 @@ WHOLE = Part()
 def sheet(
     cells: npt.NDArray[np.uint8], grid: GridInfo, part: Part = WHOLE,
     palette: Sequence[Colour] = (),
-) -> Canvas:  # fmt: skip
+) -> Picture:  # fmt: skip
     """Draw cells as squares, upside up: colours (H, W, 3), or indices (H, W) of a `palette`.
 
     Of the cells that share a pixel the one with the greatest index is drawn, or the darkest.
@@ -136,10 +154,10 @@ def sheet(
         scale = max(1, min(16, -(-_SIDE // longest)))
     if palette:
         cells = np.array(palette, np.uint8)[cells]
-    size = (cells.shape[1] * scale, cells.shape[0] * scale)
-    image = cv2.resize(np.ascontiguousarray(cells[::-1]), size, interpolation=cv2.INTER_NEAREST)
+    up = np.ascontiguousarray(cells[::-1])
+    image = cv2.resize(up, None, None, scale, scale, cv2.INTER_NEAREST)
     x, y = (low * cell).tolist()
-    return Canvas(np.asarray(image, dtype=np.uint8), scale / (cell * block), (x, y))
+    return Picture(np.asarray(image, dtype=np.uint8), scale / (cell * block), (x, y))
 
 
 def faded(colour: Colour, share: float) -> Colour:
@@ -177,7 +195,7 @@ def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Image:
     return np.asarray(bgr, dtype=np.uint8).reshape(hsv.shape)
 
 
-def map_canvas(grid: OccupancyGrid, part: Part = WHOLE, wall: Colour = GREY) -> Canvas:
+def map_canvas(grid: OccupancyGrid, part: Part = WHOLE, wall: Colour = GREY) -> Picture:
     """Draw a map, to draw on: free space is white, unknown space light grey."""
     classes = np.maximum(grid.free.view(np.uint8), 2 * grid.occupied.view(np.uint8))
     return sheet(classes, grid.info, part, (SHADE, PAPER, wall))
@@ -202,6 +220,18 @@ def building(grid: OccupancyGrid, poses: Sequence[Pose2D] = ()) -> Part:
     return Part(np.clip(out, 0.0, whole))
 
 
+def round_length(longest: float) -> float:
+    """The greatest of 1, 2, 5, 10, 20 ... that is no more than `longest`.
+
+    Examples
+    --------
+    >>> round_length(0.3), round_length(70.0)
+    (0.2, 50.0)
+    """
+    decade = float(10.0 ** np.floor(np.log10(longest)))
+    return decade * max(k for k in (1, 2, 5) if k * decade <= longest * (1 + 1e-9))
+
+
 def deviation_ellipse(covariance: FloatArray, n: int = 64) -> FloatArray:
     """Outline (n, 2) of one standard deviation of x and y around 0, of a covariance (3, 3)."""
     values, vectors = np.linalg.eigh(covariance[:2, :2])
@@ -210,7 +240,7 @@ def deviation_ellipse(covariance: FloatArray, n: int = 64) -> FloatArray:
     return np.asarray((circle * np.sqrt(np.maximum(values, 0))) @ vectors.T)
 
 
-def marker_size(canvas: Canvas) -> float:
+def marker_size(canvas: Picture) -> float:
     """Radius of a robot in pixels: 0.25 m, but never too small to see nor very large."""
     side = max(canvas.image.shape[:2])
     return float(np.clip(0.25 * canvas.px_per_m, max(5.0, side / 160), max(9.0, side / 80)))

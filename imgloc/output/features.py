@@ -29,9 +29,9 @@ from imgloc.output.canvas import (
     PAPER,
     SHADE,
     WHOLE,
-    Canvas,
     Image,
     Part,
+    Picture,
     building,
     faded,
     map_canvas,
@@ -42,9 +42,7 @@ from imgloc.output.canvas import (
 from imgloc.output.plots import AREA, DOT, Bar, Entry, framed
 
 _NEAR = 3.0  # metres, up to which distances have colours of their own
-_GREYS: Image = np.rint(255 + np.linspace(0, 1, 64)[None, :, None] * (np.array(INK) - 255)).astype(
-    np.uint8
-)
+_GREYS: Image = np.array([[faded(INK, share) for share in np.linspace(0, 1, 64)]], np.uint8)
 _WALLS: Sequence[Entry] = ((GREY, AREA, "wall"), (SHADE, AREA, "unknown"))
 _TITLES = {
     "bmap": "bmap: blurred walls, in which CBML looks up endpoints",
@@ -57,7 +55,7 @@ _TITLES = {
 SUBJECTS = ("map", *_TITLES)
 
 
-def draw_map(grid: OccupancyGrid, title: str = "") -> Canvas:
+def draw_map(grid: OccupancyGrid, title: str = "") -> Picture:
     """Draw a map with axes: walls dark, free space white, unknown space grey."""
     canvas = map_canvas(grid, building(grid), INK)
     wide, high = np.ptp(canvas.box, axis=0).tolist()
@@ -66,7 +64,9 @@ def draw_map(grid: OccupancyGrid, title: str = "") -> Canvas:
     return framed(canvas, grid.origin, title, entries)
 
 
-def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | None = None) -> Canvas:
+def draw_feature(
+    features: MapFeatures, what: str, at: tuple[float, float] | None = None
+) -> Picture:
     """Draw a map, or one of its features: `what` is one of :data:`SUBJECTS`, else a ValueError.
 
     ``visibility`` is that of the surface point nearest to `at`, metres, map frame, by default of
@@ -90,7 +90,7 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
         canvas, entries = _visibility(features, at, part)
     else:
         turn = wheel(np.linspace(-np.pi, np.pi, 73)[None], np.full((1, 73), 0.8))
-        bar = Bar(turn, -180, 180, 90, "the wall faces, degrees: 0 along x of the grid, 90 along y")
+        bar = Bar(turn, -180, 180, 90, "the wall faces, degrees: 0 to the right, 90 upwards")
         if what == "vmap":
             canvas = draw_field(features.vmap, lattice.resolution, part)
         else:
@@ -103,7 +103,7 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
 
 def _visibility(
     features: MapFeatures, at: tuple[float, float] | None, part: Part
-) -> tuple[Canvas, list[Entry]]:
+) -> tuple[Picture, list[Entry]]:
     """Draw what the surface point nearest to `at` sees, or the one that sees most."""
     grid, surface = features.grid, features.surface
     if len(surface) == 0:
@@ -127,7 +127,7 @@ def _visibility(
     return canvas, [*entries, *_WALLS]
 
 
-def draw_surface(grid: OccupancyGrid, surface: OrientedPoints, part: Part = WHOLE) -> Canvas:
+def draw_surface(grid: OccupancyGrid, surface: OrientedPoints, part: Part = WHOLE) -> Picture:
     """Draw surface points, grid frame, with their directed normals, coloured by direction.
 
     Points without a normal are black dots.
@@ -143,7 +143,7 @@ def draw_surface(grid: OccupancyGrid, surface: OrientedPoints, part: Part = WHOL
     return canvas
 
 
-def draw_field(vmap: Float32Array, resolution: float, part: Part = WHOLE) -> Canvas:
+def draw_field(vmap: Float32Array, resolution: float, part: Part = WHOLE) -> Picture:
     """Draw a blurred vector field (Fig. 4c): colour is direction, saturation is intensity.
 
     `vmap` (2, H, W) has the x and y components in cells with a side of `resolution` metres. Arrows
@@ -166,14 +166,14 @@ def draw_field(vmap: Float32Array, resolution: float, part: Part = WHOLE) -> Can
     return canvas
 
 
-def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, part: Part = WHOLE) -> Canvas:
+def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, part: Part = WHOLE) -> Picture:
     """Draw a blurred map (H, W) on its lattice (Fig. 3): white at 0, black at 1."""
     share = np.clip(np.asarray(bmap, dtype=np.float64), 0, 1)[..., None]
     colours = np.rint(255 + share * (np.array(INK) - 255)).astype(np.uint8)
     return sheet(colours, grid, part)
 
 
-def draw_distance(distance: npt.ArrayLike, grid: GridInfo, part: Part = WHOLE) -> Canvas:
+def draw_distance(distance: npt.ArrayLike, grid: GridInfo, part: Part = WHOLE) -> Picture:
     """Draw distances (H, W) to the nearest wall, metres: a fine line at each full metre.
 
     Walls, where they are 0, are dark; what is 3 m away or more has the last colour.
@@ -197,7 +197,7 @@ def _viridis(metres: FloatArray) -> Image:
 def draw_visibility(
     grid: OccupancyGrid, xy: npt.ArrayLike, vis: npt.ArrayLike, part: Part = WHOLE, *,
     horizon: float, alpha: float = 0.0,
-) -> Canvas:  # fmt: skip
+) -> Picture:  # fmt: skip
     """Draw what the point `xy` (2,) of a surface sees: the array ``vis_j`` of Sec. V as a fan.
 
     The grid frame, metres, radians. `vis` (n_psi,) are distances to the nearest obstacle; where

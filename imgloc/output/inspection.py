@@ -1,4 +1,4 @@
-"""What `imgloc inspect` writes of a log: lines of text, and a picture."""
+"""The report of `imgloc inspect` on a log: lines of text, and a picture."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,8 +13,7 @@ from imgloc.errors import as_options
 from imgloc.features.scanpoints import scan_xy
 from imgloc.io.kinds import Kind
 from imgloc.model import FloatArray, LaserScan, plain
-from imgloc.output.canvas import INK, PALETTE, TRUTH, Colour
-from imgloc.output.pictures import Picture
+from imgloc.output.canvas import INK, PALETTE, TRUTH, Colour, Picture
 from imgloc.output.plots import blank, ink, words
 from imgloc.output.tables import percent
 
@@ -25,7 +24,7 @@ _SHOWN = 8  # kinds of lines, or topics
 def log_row(
     name: str, form: str, kinds: Sequence[Kind], report: LogReport, command: str
 ) -> dict[str, Any]:
-    """What is in a log, as plain values: an object of `imgloc inspect --json`."""
+    """The contents of a log as plain values: an object of `imgloc inspect --json`."""
     counts, edges = report.histogram
     return {
         "file": name,
@@ -48,7 +47,7 @@ def _finding(finding: Cause) -> dict[str, Any]:
 
 
 def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, command: str) -> str:
-    """What is in a log, as lines of text."""
+    """The contents of a log as lines of text."""
     facts = report.facts
     lines = [("format", form)]
     if kinds:
@@ -94,7 +93,7 @@ def _taken(log: Mapping[str, Any]) -> str:
 
 
 def _about(kind: Kind, seconds: float) -> str:
-    """How many, of which type, how often."""
+    """The count, type and rate of a kind of message."""
     rate = f", {kind.count / seconds:.3g}/s" if kind.count > 1 and seconds < math.inf else ""
     return f"{kind.count:,}" + (f" {kind.type.rpartition('/')[2]}" if kind.type else "") + rate
 

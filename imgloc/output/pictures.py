@@ -2,8 +2,6 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,8 +9,6 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import in_grid_frame, transform_points, transform_poses
-from imgloc.io.files import PathLike, write_bytes_atomic
-from imgloc.io.images import encode_picture
 from imgloc.model import (
     BoolArray,
     FloatArray,
@@ -33,10 +29,9 @@ from imgloc.output.canvas import (
     TRUTH,
     TURQUOISE,
     WHOLE,
-    Canvas,
     Colour,
-    Image,
     Part,
+    Picture,
     building,
     deviation_ellipse,
     enlarged,
@@ -52,28 +47,6 @@ _WALL: Colour = (70, 110, 200)
 _TOP = 6  # hypotheses that are drawn at most
 _LEAST = 1e-3  # mass of a hypothesis that is drawn
 _INSET = 340  # pixels of a side
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A picture to look at, in a notebook too, and to save."""
-
-    image: Image
-
-    def save(self, path: PathLike, *, force: bool = False) -> None:
-        """Write it, whole or not at all, as PNG, JPEG or WebP: as the name says.
-
-        A ConfigError for another name; an OutputError if it exists, without `force`.
-        """
-        data = encode_picture(self.image, Path(path).suffix.lower().replace("jpg", "jpeg")[1:])
-        write_bytes_atomic(path, data, force=force)
-
-    def __repr__(self) -> str:
-        height, width = self.image.shape[:2]
-        return f"<Picture of {width} x {height} pixels; save(path) writes it>"
-
-    def _repr_png_(self) -> bytes:
-        return encode_picture(self.image)
 
 
 def draw(
@@ -123,7 +96,7 @@ def draw(
         raise TypeError("a scan is drawn at the poses of an answer: expected both")
     local = None if truth is None else in_grid_frame(truth, grid)
     if isinstance(answer, Likelihood):
-        return Picture(_likelihood(answer, grid, local, title).image)
+        return _likelihood(answer, grid, local, title)
     if isinstance(answer, Localization):
         points = np.zeros((0, 2))
         if scan is not None:
@@ -132,20 +105,19 @@ def draw(
         left = f"; {_not_drawn(answer)}" if drawn else ""
         notes = [f"verdict: {answer.verdict}{left}", *([note] if note else [])]
         above = f"{title or 'Where the scan was taken'}: {answer.verdict}"
-        canvas = draw_hypotheses(grid, points, drawn, truth=local, notes=notes, title=above)
-        return Picture(canvas.image)
+        return draw_hypotheses(grid, points, drawn, truth=local, notes=notes, title=above)
     if answer is not None:
         raise TypeError(f"expected a Localization or a Likelihood to draw, got {answer!r}")
     if features is None and what == "map":
-        return Picture(draw_map(grid, title).image)
+        return draw_map(grid, title)
     if features is None:
         raise ValueError(f"{what!r} is drawn of the features of a map: use imgloc.prepare")
-    return Picture(draw_feature(features, what, at).image)
+    return draw_feature(features, what, at)
 
 
 def draw_likelihood(
     likelihood: Likelihood, grid: OccupancyGrid | None = None, part: Part = WHOLE
-) -> Canvas:
+) -> Picture:
     """Draw a likelihood as the paper does (caption of Fig. 1): its maximum over theta.
 
     Linearly normalised, black is the highest likelihood and white the lowest; turquoise is a
@@ -171,15 +143,15 @@ def draw_likelihood(
 
 def _likelihood(
     answer: Likelihood, grid: OccupancyGrid, truth: Pose2D | None, title: str
-) -> Canvas:
+) -> Picture:
     """A likelihood on its map, with its maximum, framed."""
     k, row, column = np.unravel_index(np.argmax(answer.values), answer.values.shape)
     x, y = (np.array((column, row)) + 0.5) * answer.grid.resolution
     marks = [(Pose2D(x, y, float(answer.thetas[k])), PALETTE[1], "maximum")]
     marks += [] if truth is None else [(truth, TRUTH, "true pose")]
     canvas = draw_likelihood(answer, grid, building(grid, [pose for pose, *_ in marks]))
-    entries = [(colour, ROBOT, name) for _, colour, name in marks]
-    entries += [(_WALL, AREA, "wall"), (SHADE, AREA, "unknown")]
+    names = ((colour, ROBOT, name) for _, colour, name in marks)
+    entries = [*names, (_WALL, AREA, "wall"), (SHADE, AREA, "unknown")]
     if (canvas.image == TURQUOISE).all(axis=2).any():
         entries.append((TURQUOISE, AREA, "exactly 0"))
     for pose, colour, _ in marks:
@@ -193,7 +165,7 @@ def _likelihood(
 def draw_hypotheses(
     grid: OccupancyGrid, scan_xy: FloatArray, hypotheses: Sequence[Hypothesis], *,
     truth: Pose2D | None = None, notes: Sequence[str] = (), title: str = "",
-) -> Canvas:  # fmt: skip
+) -> Picture:  # fmt: skip
     """Draw where a scan may have been taken: the scan laid on the map at each hypothesis.
 
     The points `scan_xy` (N, 2) are in the sensor's frame, metres. The hypotheses, best first, grid
@@ -232,7 +204,7 @@ def draw_hypotheses(
 
 
 def _lay(
-    canvas: Canvas, scan_xy: FloatArray, shown: Sequence[tuple[Hypothesis, Colour]],
+    canvas: Picture, scan_xy: FloatArray, shown: Sequence[tuple[Hypothesis, Colour]],
     truth: Pose2D | None,
 ) -> None:  # fmt: skip
     """Draw hypotheses, the bolder the more mass they have, and the truth."""
@@ -256,8 +228,8 @@ def _lay(
 
 
 def _inset(
-    grid: OccupancyGrid, scan_xy: FloatArray, poses: Sequence[Pose2D], canvas: Canvas
-) -> Canvas | None:
+    grid: OccupancyGrid, scan_xy: FloatArray, poses: Sequence[Pose2D], canvas: Picture
+) -> Picture | None:
     """The place of the best hypothesis, larger, if the scan is small on the map."""
     if not poses or not len(scan_xy):
         return None
@@ -269,7 +241,7 @@ def _inset(
     return map_canvas(grid, Part(around, max(1, round(scale))))
 
 
-def _numbers(canvas: Canvas, poses: Sequence[Pose2D]) -> list[tuple[float, float, str]]:
+def _numbers(canvas: Picture, poses: Sequence[Pose2D]) -> list[tuple[float, float, str]]:
     """The numbers of poses, each behind its robot; those of poses at one place together."""
     size, f = marker_size(canvas), enlarged(canvas.image)
     groups, near = list[tuple[Pose2D, list[str]]](), 3 * size / canvas.px_per_m
@@ -296,7 +268,7 @@ def _drawn(answer: Localization) -> list[Hypothesis]:
 
 
 def _not_drawn(answer: Localization) -> str:
-    """What a picture of an answer leaves out, in words."""
+    """Count what a picture of an answer leaves out, in words."""
     drawn = _drawn(answer)
     more = answer.evidence.found - len(drawn)
     mass = answer.evidence.unlisted + sum(h.mass for h in answer.hypotheses)
@@ -305,7 +277,7 @@ def _not_drawn(answer: Localization) -> str:
     return f"{other}elsewhere: {100 * answer.elsewhere:.1f} %"
 
 
-def _under(canvas: Canvas, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
+def _under(canvas: Picture, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
     """The pixels of a canvas that lie over free and over occupied cells of a map."""
     height, width = canvas.image.shape[:2]
     last, cell = np.array(grid.occupied.shape), grid.resolution
@@ -319,22 +291,23 @@ def _under(canvas: Canvas, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
     return np.pad(grid.free, 1)[index], walls[index] > 0
 
 
-def mosaic(pictures: Sequence[Image], columns: int | None = None) -> Image:
+def mosaic(pictures: Sequence[Picture], columns: int | None = None) -> Picture:
     """Lay pictures of any sizes out on a white sheet, upper edges aligned.
 
     Without `columns` the sheet is about as wide as 4 : 3. Without a picture it is a ValueError.
     """
     if not pictures:
         raise ValueError("a mosaic needs at least one picture")
-    n, gap = len(pictures), 8
+    images, gap = [picture.image for picture in pictures], 8
     if columns is None:
-        area = float(np.mean([p.shape[1] / p.shape[0] for p in pictures]))
-        columns = max(1, min(n, round((n * 4 / 3 / area) ** 0.5)))
-    wide = [max(p.shape[1] for p in pictures[k::columns]) + gap for k in range(min(columns, n))]
+        area = float(np.mean([i.shape[1] / i.shape[0] for i in images]))
+        columns = round((len(images) * 4 / 3 / area) ** 0.5)
+    columns = max(1, min(len(images), columns))
+    wide = [max(i.shape[1] for i in images[k::columns]) + gap for k in range(columns)]
     out = []
-    for row in (pictures[k : k + columns] for k in range(0, n, columns)):
+    for row in (images[k : k + columns] for k in range(0, len(images), columns)):
         sheet = np.full((max(map(len, row)) + gap, sum(wide), 3), 255, np.uint8)
-        for k, picture in enumerate(row):
-            sheet[: len(picture), sum(wide[:k]) :][:, : picture.shape[1]] = picture
+        for k, image in enumerate(row):
+            sheet[: len(image), sum(wide[:k]) :][:, : image.shape[1]] = image
         out.append(sheet)
-    return np.concatenate(out)
+    return Picture(np.concatenate(out))

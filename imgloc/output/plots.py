@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from imgloc.geometry import rotation, transform_points
 from imgloc.model import FloatArray, Pose2D
-from imgloc.output.canvas import INK, Canvas, Colour, Image, enlarged
+from imgloc.output.canvas import INK, Colour, Image, Picture, enlarged, round_length
 
 Entry = tuple[Colour, str, str]
 """A line of a legend: colour, marker, words. A marker is one below, one of matplotlib's, or ""."""
@@ -41,10 +41,10 @@ class Bar:
 
 
 def framed(
-    canvas: Canvas, origin: Pose2D, title: str = "", entries: Sequence[Entry] = (), *,
+    canvas: Picture, origin: Pose2D, title: str = "", entries: Sequence[Entry] = (), *,
     columns: int | None = None, labels: Sequence[tuple[float, float, str]] = (),
-    bar: Bar | None = None, inset: Canvas | None = None,
-) -> Canvas:  # fmt: skip
+    bar: Bar | None = None, inset: Picture | None = None,
+) -> Picture:  # fmt: skip
     """Put axes of the map frame, a title, and a legend around the pixels of a map.
 
     Each pixel of the map is one of the picture, under a light grid. The legend stands below the
@@ -52,7 +52,7 @@ def framed(
 
     Parameters
     ----------
-    canvas, inset : Canvas
+    canvas, inset : Picture
         The map, grid frame, and a part of it in larger.
     origin : Pose2D
         Of the grid frame, in the map frame.
@@ -63,12 +63,12 @@ def framed(
 
     Returns
     -------
-    Canvas
+    Picture
         The whole picture, in which each point of the map is where the axes have it.
 
     Examples
     --------
-    >>> map_ = Canvas(np.full((100, 200, 3), 255, np.uint8), 10.0)
+    >>> map_ = Picture(np.full((100, 200, 3), 255, np.uint8), 10.0)
     >>> picture = framed(map_, Pose2D(5.0, 0.0), "A yard", [(INK, AREA, "wall")])
     >>> column, row = np.rint(picture.pixels(np.array([[0.05, 9.95]]))[0]).astype(int).tolist()
     >>> picture.image[row - 1, column].min() < 100 < picture.image[row, column].min()
@@ -129,7 +129,7 @@ class _Sheet:
     ) -> None:  # fmt: skip
         """Draw polylines (N, P, 2); of those only what is `within` a box (x, y, width, height)."""
         from matplotlib.collections import LineCollection
-        from matplotlib.patches import Rectangle
+        from matplotlib.transforms import Bbox, TransformedBbox
 
         drawn = LineCollection(
             ends.tolist(), colors=[ink(colour)], linewidths=width, antialiaseds=True,
@@ -137,8 +137,7 @@ class _Sheet:
         )  # fmt: skip
         self.figure.add_artist(drawn)
         if within:
-            x, y, wide, high = within
-            drawn.set_clip_path(Rectangle((x, y), wide, high, transform=self._at))
+            drawn.set_clip_box(TransformedBbox(Bbox.from_bounds(*within), self._at))
 
     def add_image(self, image: Image, x: int, y: int) -> None:
         """Put an image with a line around it; its lower left corner is at (x, y)."""
@@ -159,7 +158,7 @@ class _Sheet:
         for spot, name in zip((ends[:, 1] + far).tolist(), names, strict=True):
             self.text(spot, name, ha=ha, va=va)
 
-    def add_map(self, canvas: Canvas, origin: Pose2D, x: int, y: int) -> None:
+    def add_map(self, canvas: Picture, origin: Pose2D, x: int, y: int) -> None:
         """Put a map at (x, y): lines of equal x and y of the map frame, which may be turned.
 
         Ticks are where these meet the lower edge, which has the coordinate that changes more along
@@ -209,7 +208,7 @@ class _Sheet:
             for line in textwrap.wrap(text, round((room / f - _HANDLE) / _LETTER)):
                 rows.append((colour, marker, self.text((0, 0), line, mono=True)))
                 marker = ""
-        wide = (_HANDLE + _GAP) * f + max((self._extent(t)[1, 0] for *_, t in rows), default=0.0)
+        wide = (_HANDLE + _GAP) * f + max((t.get_window_extent().x1 for *_, t in rows), default=0.0)
         columns = columns or max(1, int((room + _GAP * f) / wide))
         each = max(1, -(-len(rows) // columns))
         for k, (colour, marker, shown) in enumerate(rows):
@@ -234,12 +233,9 @@ class _Sheet:
                 markeredgewidth=1.5 if marker == "x" else 0.7, transform=self._at,
             ))  # fmt: skip
 
-    def _extent(self, text: Any) -> FloatArray:
-        return np.asarray(text.get_window_extent(self.figure.canvas.get_renderer()).get_points())
-
-    def finished(self, canvas: Canvas) -> Canvas:
+    def finished(self, canvas: Picture) -> Picture:
         """Draw all of it; `canvas` is the map in the corner of which pixels begin."""
-        boxes = [self._extent(text) for text in self.figure.texts if text.get_text()]
+        boxes = [t.get_window_extent().get_points() for t in self.figure.texts if t.get_text()]
         boxes += [np.array([(x, y), (x + i.shape[1], y + len(i))]) for i, x, y in self._images]
         pad = round(8 * self.f)
         low = np.floor(np.min([box[0] for box in boxes], axis=0)).astype(int) - pad
@@ -254,7 +250,7 @@ class _Sheet:
         over, share = drawn[..., :3][at], drawn[..., 3][at][:, None] / 255
         out[at] = np.rint(out[at] + share * (over[:, ::-1] - out[at].astype(float)))
         x, y = (canvas.box[0] + low / canvas.px_per_m).tolist()
-        return Canvas(out, canvas.px_per_m, (x, y))
+        return Picture(out, canvas.px_per_m, (x, y))
 
 
 def _around(box: FloatArray) -> FloatArray:
@@ -271,8 +267,7 @@ def _ticks(low: float, high: float, apart: float) -> tuple[FloatArray, list[str]
     >>> names
     ['-1.0', '-0.5', '0.0', '0.5']
     """
-    decade = 10.0 ** np.floor(np.log10(apart))
-    step = next(k * decade for k in (1, 2, 5, 10) if k * decade >= apart * (1 - 1e-9))
+    step = round_length(2.5 * apart)
     values = step * np.arange(np.ceil(low / step - 1e-6), np.floor(high / step + 1e-6) + 1)
     digits = max(0, -int(np.floor(np.log10(step) + 1e-9)))
     return values, [f"{value + 0.0:.{digits}f}" for value in values]

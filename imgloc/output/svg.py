@@ -1,8 +1,8 @@
 """Drawings of an explanation as SVG: rays on the map, all hypotheses, a covariance, a scan.
 
-Lines stay sharp in print; the map's cells are an image. Colours and shapes both say what a ray
-is, so that neither the colour-blind nor a grey printer loses anything. Here is what is drawn where;
-how it is written is in ``templates/svg.html``, and the style sheet of the page has the colours.
+Lines stay sharp in print; the map's cells are an image. A kind of ray has a colour and a
+shape, so that neither the colour-blind nor a grey printer loses anything. Here is what is drawn
+where; how it is written is in ``templates/svg.html``, and the page's style sheet has the colours.
 """
 
 import base64
@@ -20,7 +20,7 @@ from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
 from imgloc.io.images import encode_picture
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
-from imgloc.output.canvas import INK, Image, Part, deviation_ellipse, map_canvas
+from imgloc.output.canvas import INK, Image, Part, deviation_ellipse, map_canvas, round_length
 
 #: Shapes of the ends of rays, drawn around the point.
 SHAPES = {
@@ -61,18 +61,6 @@ def macro(name: str, template: str = "svg.html", /, **values: Any) -> Markup:
     """Render a macro of a template."""
     rendered: Markup = getattr(ENVIRONMENT.get_template(template).module, name)(**values)
     return rendered
-
-
-def round_length(longest: float) -> float:
-    """The greatest of 1, 2, 5, 10, 20 ... that is no more than `longest`.
-
-    Examples
-    --------
-    >>> round_length(0.3), round_length(70.0)
-    (0.2, 50.0)
-    """
-    decade = float(10.0 ** np.floor(np.log10(longest)))
-    return decade * max(k for k in (1, 2, 5) if k * decade <= longest * (1 + 1e-9))
 
 
 @dataclass(frozen=True)
@@ -174,7 +162,7 @@ def _near(away: FloatArray) -> BoolArray:
 
 
 def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: str) -> Markup:
-    """The scan on the map at a pose, grid frame: each ray in the colour of what it says.
+    """The scan on the map at a pose, grid frame: each ray in the colour of its kind.
 
     The `name` is the label of the robot; that of the best pose is "1".
     """

@@ -26,16 +26,15 @@ from imgloc.output.canvas import (
     PAPER,
     SHADE,
     TRUTH,
-    Canvas,
     Colour,
-    Image,
+    Picture,
     building,
     enlarged,
     faded,
     map_canvas,
     marker_size,
 )
-from imgloc.output.pictures import Picture, mosaic
+from imgloc.output.pictures import mosaic
 from imgloc.output.plots import DASHED, DOT, LINE, ROBOT, Entry, blank, framed, ink
 from imgloc.runs.opening import quiet_libraries
 
@@ -58,7 +57,7 @@ _CARRIED = 1.0  # metres beyond twice what odometry says: no driving
 def tum_text(moments: Iterable[Moment], *, best: bool = False) -> str:
     """The trajectory for `evo_ape tum`: ``stamp x y z qx qy qz qw``, of unique poses only.
 
-    With `best` it has the best guesses, too, each below a comment that says so.
+    With `best` it has the best guesses, too, each below a comment that names it a guess.
     """
     lines = []
     for moment in moments:
@@ -86,7 +85,7 @@ def track_line(moment: Moment, *, best: bool = False) -> str:
 
 
 def track_header() -> str:
-    """What stands above the lines of :func:`track_line`."""
+    """The line above those of :func:`track_line`."""
     place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
     return f"{'index':>6} {'stamp':>14}  {'verdict':<22} {place} {'mass':>8} {'driven/m':>9}"
 
@@ -140,15 +139,15 @@ def draw_track(
     if truth is not None:
         entries.append((TRUTH, LINE, "true path"))
     title = title or "The way that the robot took"
-    image = framed(canvas, grid.origin, title, entries, labels=labels).image
+    picture = framed(canvas, grid.origin, title, entries, labels=labels)
     found = None if truth is None else deviation_of(moments, truth)
     if found is not None and len(found.ape) > 1:
-        image = mosaic([image, _curve(moments, found, image.shape[1])], columns=1)
-    return Picture(image)
+        picture = mosaic([picture, _curve(moments, found, picture.image.shape[1])], columns=1)
+    return picture
 
 
 def _marks(
-    canvas: Canvas, sure: Sequence[tuple[Moment, FloatArray]], turned: float, begin: float
+    canvas: Picture, sure: Sequence[tuple[Moment, FloatArray]], turned: float, begin: float
 ) -> tuple[list[Entry], list[tuple[float, float, str]]]:
     """Mark start, end, direction and minutes of a path; entries of the legend, and labels."""
     if not sure:
@@ -187,7 +186,7 @@ def _marks(
     return marks + [(INK, DOT, "time since the first scan")] * (last >= every), labels
 
 
-def _arrow(canvas: Canvas, xy: FloatArray, theta: float, size: float) -> None:
+def _arrow(canvas: Picture, xy: FloatArray, theta: float, size: float) -> None:
     """An arrow head on the path that points along the heading."""
     r = size / canvas.px_per_m
     turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
@@ -196,7 +195,7 @@ def _arrow(canvas: Canvas, xy: FloatArray, theta: float, size: float) -> None:
     )
 
 
-def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Image:
+def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Picture:
     """The distance of each unique pose from the true one, over time."""
     f = max(1.0, width / 1500)
     figure, pixels = blank(width / 100, 2.4 * f, layout="constrained")
@@ -214,10 +213,10 @@ def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Image:
     axes.set(xlim=(0.0, max(float(x[-1]), 1e-9)), ylim=(0.0, 1.05 * max(found.ape.max(), 0.01)))
     axes.tick_params(labelsize=8 * f)
     axes.grid(color=ink(SHADE))
-    return pixels()
+    return Picture(pixels())
 
 
-def _draw_belief(canvas: Canvas, belief: Belief) -> None:
+def _draw_belief(canvas: Picture, belief: Belief) -> None:
     """Draw all places of a belief, grid frame: as dark as they are likely."""
     size, colour = marker_size(canvas), COLOURS[belief.verdict]
     for pose, mass in list(zip(belief.poses, belief.mass, strict=True))[::-1]:
@@ -244,7 +243,7 @@ class Video:
         large = map_canvas(grid, building(grid))
         shrink = min(1.0, _SIDE / max(large.image.shape[:2]))
         small = cv2.resize(large.image, None, None, shrink, shrink, cv2.INTER_AREA)
-        self._map = Canvas(np.asarray(small, np.uint8), shrink * large.px_per_m, large.corner)
+        self._map = Picture(np.asarray(small, np.uint8), shrink * large.px_per_m, large.corner)
         entries: list[Entry] = [(colour, ROBOT, name) for name, colour in COLOURS.items()]
         entries += [(faded(COLOURS[AMBIGUOUS], 0.4), ROBOT, "other places, paler if less likely")]
         entries += [(SCAN, DOT, "scan"), (COLOURS[UNIQUE], LINE, "way")]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imgloc.model import OccupancyGrid, OrientedPoints, Pose2D
-from imgloc.output.canvas import Canvas, Part
+from imgloc.output.canvas import Part, Picture
 from tools.paper.figures import (
     cross,
     draw_comparison,
@@ -26,7 +26,7 @@ def scenes():
 
 
 def test_a_cross_lies_on_its_position():
-    image = cross(Canvas(np.zeros((200, 400, 3), np.uint8), 100.0), np.array((3.0, 0.5))).image
+    image = cross(Picture(np.zeros((200, 400, 3), np.uint8), 100.0), np.array((3.0, 0.5))).image
     rows, columns = np.nonzero((image == BLUE).all(axis=2))
     assert abs(columns.mean() - 300) < 1
     assert abs(rows.mean() - 150) < 1  # row 0 is at the top
@@ -34,7 +34,7 @@ def test_a_cross_lies_on_its_position():
 
 def test_a_ring_leaves_what_is_in_it():
     image = np.full((200, 200, 3), 7, np.uint8)
-    canvas = Canvas(image, 100.0)
+    canvas = Picture(image, 100.0)
     assert ring(canvas, Pose2D(1.0, 1.0, 0.0)) is canvas
     assert (image[100, 100] == 7).all()  # the pose itself
     red = (image == RED).all(axis=2)

@@ -26,8 +26,8 @@ def picture() -> Picture:
                 scan = load_scans(file)[0]
             except ImglocError as error:
                 words = str(error).removeprefix(f"{folder}/")
-                sheets.append(draw(grid, title=words).image)
+                sheets.append(draw(grid, title=words))
                 continue
             answer = localize(features, scan)
-            sheets.append(draw(features, answer, scan, title=file.name).image)
-    return Picture(mosaic(sheets))
+            sheets.append(draw(features, answer, scan, title=file.name))
+    return mosaic(sheets)

@@ -22,4 +22,4 @@ def picture() -> Picture:
     canvas = sheet(wheel(heading, strength), stack.grid)
     turns = wheel(np.linspace(-np.pi, np.pi, 73)[None], np.ones((1, 73)))
     bar = Bar(turns, -180, 180, 90, "heading, degrees")
-    return Picture(framed(canvas, grid.origin, "The best heading of each place", bar=bar).image)
+    return framed(canvas, grid.origin, "The best heading of each place", bar=bar)

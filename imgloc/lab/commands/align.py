@@ -74,7 +74,6 @@ def align(
     )
     from imgloc.lab.located import open_some
     from imgloc.model import to_json
-    from imgloc.output.pictures import Picture
     from imgloc.runs.localize import Localize
 
     read = [*inputs.files_of(a_path), *inputs.files_of(b_path), *([] if move is None else [move])]
@@ -98,8 +97,7 @@ def align(
     written = [] if picture is None else [picture]
     if picture is not None:
         names = [map_name(path) for path in paths]
-        drawn = draw_alignment(grids[0], grids[1], found, names)
-        Picture(drawn.image).save(picture, force=force)
+        draw_alignment(grids[0], grids[1], found, names).save(picture, force=force)
     sure = found.verdict == "unique"
     if sure and poses is not None and out is not None:
         write_text_atomic(out, moved_text(poses, found), force=force)
