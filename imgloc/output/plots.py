@@ -164,13 +164,13 @@ class _Sheet:
         Ticks are where these meet the lower edge, which has the coordinate that changes more along
         it, and the left one, which has the other.
         """
-        box, turn, size = canvas.box, rotation(origin.theta), canvas.image.shape[1::-1]
+        f, box, turn, size = self.f, canvas.box, rotation(origin.theta), canvas.image.shape[1::-1]
         self.add_image(canvas.image, x, y)
         corners = transform_points(origin, _around(box))
         swapped = int(abs(turn[0, 1]) > abs(turn[0, 0]))
         for edge in (0, 1):
             of, other = edge ^ swapped, 1 - edge
-            pixels = min(_APART[edge] * self.f, size[edge] / 2.5)
+            pixels = min(_APART[edge] * f, size[edge] / 2.5)
             apart = pixels / canvas.px_per_m * abs(turn[of, edge])
             values, names = _ticks(corners[:, of].min(), corners[:, of].max(), apart)
             # A value is shift + turn[of] @ (x, y), where one of x and y is that of the edge.
@@ -183,9 +183,8 @@ class _Sheet:
             self.lines(ends, INK, 0.72, (x, y, *size), alpha=0.15)
             on = np.flatnonzero((at >= -0.01) & (at <= size[edge] + 0.01))
             self.add_ticks(edge, x, y, at[on], [names[k] for k in on])
-            f, va = self.f, ("top", "bottom")[edge]
             spot = ((x + size[0], y - 25 * f), (x - 8 * f, y + size[1] + 9 * f))[edge]
-            self.text(spot, f"{'xy'[of]} / m", ha="right", va=va)
+            self.text(spot, f"{'xy'[of]} / m", ha="right", va=("top", "bottom")[edge])
 
     def add_bar(self, bar: Bar, x: float, y: float) -> float:
         """Put a colour bar below (x, y); returns the height at which there is room again."""
