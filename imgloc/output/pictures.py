@@ -85,8 +85,8 @@ def draw(
     Examples
     --------
     >>> wall = np.pad(np.zeros((30, 40), bool), 2, constant_values=True)
-    >>> draw(OccupancyGrid(wall, ~wall, 0.1)).image.shape
-    (630, 780, 3)
+    >>> draw(OccupancyGrid(wall, ~wall, 0.1)).px_per_m
+    160.0
     """
     features = place if isinstance(place, MapFeatures) else None
     grid = place if features is None else features.grid

@@ -69,10 +69,10 @@ def framed(
     Examples
     --------
     >>> map_ = Picture(np.full((100, 200, 3), 255, np.uint8), 10.0)
-    >>> picture = framed(map_, Pose2D(5.0, 0.0), "A yard", [(INK, AREA, "wall")])
-    >>> column, row = np.rint(picture.pixels(np.array([[0.05, 9.95]]))[0]).astype(int).tolist()
-    >>> picture.image[row - 1, column].min() < 100 < picture.image[row, column].min()
-    True
+    >>> picture = framed(map_, Pose2D(5.0, 0.3), "A yard", [(INK, AREA, "wall")])
+    >>> column, row = np.rint(picture.pixels(np.array([[3.05, 9.95]]))[0]).astype(int).tolist()
+    >>> picture.image[row - 1 : row + 2, column].tolist()  # the line around the map, and the map
+    [[56, 47, 40], [255, 255, 255], [255, 255, 255]]
     """
     sheet, (height, width) = _Sheet(enlarged(canvas.image)), canvas.image.shape[:2]
     f, beside = sheet.f, height > 1.3 * width
