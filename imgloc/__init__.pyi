@@ -69,7 +69,7 @@ from .options import Prior as Prior
 from .options import Sensor as Sensor
 from .options import Shared as Shared
 from .options import Trust as Trust
-from .output.pictures import Picture as Picture
+from .output.canvas import Picture as Picture
 from .output.pictures import draw as draw
 from .pipeline import localize as localize
 from .pipeline import localize_many as localize_many

@@ -147,7 +147,7 @@ def test_a_fit_writes_its_numbers_and_where_they_are_from() -> None:
     assert sources[numbers["Trust.elsewhere"].source] == made
     changed = [a for a, b in zip(out.split("\n"), TEXT.split("\n"), strict=True) if a != b]
     assert len(changed) == 2
-    assert write(TEXT, {}, "trust-fit", origin("FusedOptions.unfit")) == TEXT
+    assert write(TEXT, {}, "trust-fit", read(TEXT)[0]["trust-fit"]) == TEXT
 
 
 def test_a_fit_writes_no_number_that_is_out_of_its_range() -> None:

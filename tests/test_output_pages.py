@@ -18,7 +18,6 @@ from imgloc.output.canvas import INK, PAPER, SHADE
 from imgloc.output.pages import DRAWN, HEADLINES, render_explanation
 from imgloc.output.svg import (
     View,
-    cells_picture,
     draw_covariance,
     draw_overview,
     draw_rays,
@@ -96,8 +95,10 @@ def png_of(image: ET.Element) -> np.ndarray:
 def test_up_in_the_map_is_up_in_the_picture() -> None:
     occupied = np.array([[1, 0, 0], [0, 0, 0]], dtype=bool)
     free = np.array([[0, 1, 0], [1, 1, 0]], dtype=bool)
-    picture = cells_picture(OccupancyGrid(occupied, free, 1.0), np.s_[0:2, 0:3])
-    assert picture.tolist() == [[[*PAPER], [*PAPER], [*SHADE]], [[*INK], [*PAPER], [*SHADE]]]
+    view = View(0.0, 0.0, 3.0, 2.0, 300.0)
+    image = ET.fromstring(map_image(OccupancyGrid(occupied, free, 1.0), view))
+    assert png_of(image).tolist() == [[[*PAPER], [*PAPER], [*SHADE]], [[*INK], [*PAPER], [*SHADE]]]
+    assert map_image(OccupancyGrid(occupied, free, 1.0), View(4.0, 0.0, 3.0, 2.0, 300.0)) == ""
 
 
 def test_a_thin_wall_is_still_there_when_a_map_is_large() -> None:

@@ -28,8 +28,8 @@ def test_a_kidnapping_is_a_dashed_line_from_way_to_way() -> None:
     carried = moments([[1.0, 1.5, 2.0, 2.5], [8.0, 8.5, 9.0]])
     image = draw_track(grid, carried).image
     row, column = np.nonzero((image == OFF).all(axis=2))
-    drawn = np.flatnonzero(np.bincount(column[row < 360], minlength=image.shape[1]))
-    scale = 9  # pixels of a cell
+    scale = 9  # pixels of a cell, of 40 rows; below are a tick and the legend
+    drawn = np.flatnonzero(np.bincount(column[row < 40 * scale + 40], minlength=image.shape[1]))
     assert drawn.max() - drawn.min() == np.clip(drawn.max() - drawn.min(), 45 * scale, 56 * scale)
     assert 0.3 < len(drawn) / (drawn.max() - drawn.min()) < 0.8  # dashes
     driven = draw_track(grid, moments([[1.0, 1.5, 2.0, 2.5, 3.0]])).image

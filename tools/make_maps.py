@@ -4,16 +4,11 @@ The files in maps/ are made by this and by nothing else; a test compares them. R
 a change of a world:
 
     python -m tools.make_maps            # into maps/, beside this folder
-    python -m tools.make_maps --picture worlds.png
 """
 
 from pathlib import Path
 
-from imgloc.io.files import write_bytes_atomic
-from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
-from imgloc.output.canvas import draw_map
-from imgloc.output.pictures import mosaic
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import parser_of
 
@@ -40,15 +35,9 @@ def main() -> None:
     parser = parser_of("tools.make_maps", __doc__)
     beside = Path(__file__).resolve().parents[1] / "maps"
     parser.add_argument("--out", type=Path, default=beside, help="folder (default: maps/)")
-    parser.add_argument("--picture", type=Path, help="also draw all worlds into this PNG")
     arguments = parser.parse_args()
     for path in make_maps(arguments.out):
         print(path)
-    if arguments.picture is not None:
-        worlds = [(name, render(world(), RESOLUTION)) for name, world in WORLDS.items()]
-        sheet = mosaic([(name, draw_map(grid)) for name, grid in worlds])
-        write_bytes_atomic(arguments.picture, encode_png(sheet), force=True)
-        print(arguments.picture)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
+import matplotlib
 import numpy as np
 import PIL.Image
 from PIL.PngImagePlugin import PngInfo
@@ -25,8 +26,8 @@ from tools.script import parser_of
 
 FOLDER = Path(__file__).parent
 STALE, OTHER_LETTERS = 0.0002, 0.01
-"""Share of the pixels that may differ: by rounding on another processor; by OpenCV's letters."""
-LETTERS = "OpenCV " + ".".join(cv2.__version__.split(".")[:2])
+"""Share of the pixels that may differ: by rounding on another processor; by other letters."""
+LETTERS = "matplotlib " + ".".join(matplotlib.__version__.split(".")[:2])
 _SHIFT, _LEVELS = 2, 48  # pixels and grey levels that a line may be off
 
 
@@ -40,14 +41,14 @@ def demo() -> Image:
 
 
 def load(path: Path) -> tuple[Image, str]:
-    """The pixels of a picture (H, W, 3), BGR, and the OpenCV that drew it."""
+    """The pixels of a picture (H, W, 3), BGR, and the matplotlib that drew it."""
     with PIL.Image.open(path) as file:
         made_by = str(file.info.get("Software", ""))
         return np.asarray(file.convert("RGB"), np.uint8)[..., ::-1], made_by
 
 
 def save(path: Path, image: Image) -> None:
-    """Write a picture, and in it the OpenCV that drew it."""
+    """Write a picture, and in it the matplotlib that drew it."""
     out, about = io.BytesIO(), PngInfo()
     about.add_text("Software", LETTERS)
     PIL.Image.fromarray(np.ascontiguousarray(image[..., ::-1])).save(

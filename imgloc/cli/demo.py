@@ -45,7 +45,7 @@ def demo(
     from imgloc.io.maps import bundled_maps, load_map
     from imgloc.likelihoods.stacks import likelihood
     from imgloc.model import Pose2D
-    from imgloc.output.pictures import Picture, draw, mosaic
+    from imgloc.output.pictures import draw, mosaic
     from imgloc.output.tables import answer_text
     from imgloc.pipeline import localize, prepare
     from imgloc.simulation.scans import simulate
@@ -68,16 +68,11 @@ def demo(
     answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)
     emit(answer_text(f"map {name}, seed {seed}", answer, truth))
-    stack = draw(grid, likelihood(features, scan, cbml), truth=truth).image
-    caption = (
-        "CBML: likelihood of each position at its best heading, black is high; red is the truth"
-    )
-    about = f"fused: the scan at each hypothesis; verdict: {answer.verdict}"
-    pictures = [(caption, stack), (about, draw(grid, answer, scan, truth=truth).image)]
+    stack = draw(grid, likelihood(features, scan, cbml), truth=truth)
+    where = draw(grid, answer, scan, truth=truth)
     target = out or _OUT
     if out is None and not force:
         names = (_OUT.with_stem(f"{_OUT.stem}-{k}") for k in itertools.count(1))
         target = next(p for p in itertools.chain([_OUT], names) if not os.path.lexists(p))
-    sheet = mosaic(pictures, columns=2, top=True)
-    Picture(sheet).save(target, force=force)
+    mosaic([stack, where], columns=2).save(target, force=force)
     emit(f"\npicture: {display(target)}")

@@ -1,4 +1,4 @@
-"""What is written of two maps that lie on each other: text, picture, poses, YAML."""
+"""Two maps that lie on each other, written: text, picture, poses, YAML."""
 
 import csv
 import io
@@ -17,9 +17,8 @@ from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings, yaml_text
 from imgloc.lab.align import SCALES, Alignment
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.output.axes import finished
-from imgloc.output.canvas import INK, PAPER, SHADE, Colour, building, sheet
-from imgloc.output.pictures import Picture
+from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, building, sheet
+from imgloc.output.plots import AREA, framed
 
 BOTH, ONLY_A, ONLY_B = INK, (178, 114, 0), (0, 94, 213)
 _SEEN: Colour = (247, 245, 243)  # free in one of them
@@ -74,7 +73,7 @@ def _no_match_text(best: Mapping[str, Any], *, scanned: bool) -> list[str]:
 
 
 def _thickness(metres: float) -> str:
-    """What the walls of B are beside those of A."""
+    """Compare walls of B with those of A, in words: thicker or thinner."""
     if abs(metres) < 0.005:
         return "walls of both are as thick"
     return f"walls of B are {abs(metres):.2f} m {'thicker' if metres > 0 else 'thinner'}"
@@ -161,7 +160,7 @@ def moved_text(given: Waypoints, found: Alignment) -> str:
 
 
 def moved_yaml(settings: MapSettings, found: Alignment, folder: Path) -> str:
-    """The YAML, for a file in a folder, of `b`, read as `settings` say, in the frame of `a`."""
+    """The YAML, for a file in a folder, of `b`, read by its `settings`, in the frame of `a`."""
     place = found.best
     if place is None:
         raise ConfigError("expected maps that match")
@@ -196,39 +195,29 @@ def draw_alignment(
         cells = cell_of(xy, grid.resolution)
         on = inside(cells, grid.info)
         rows, columns = np.where(on[:, None], cells, 0).T
-        layers.append(
-            [
-                (on & image[rows, columns]).reshape(height, width)
-                for image in (grid.occupied, grid.free)
-            ]
-        )
+        images = (on & image[rows, columns] for image in (grid.occupied, grid.free))
+        layers.append([image.reshape(height, width) for image in images])
     (wall_a, free_a), (wall_b, free_b) = layers
-    image = np.empty((height, width, 3), np.uint8)
-    image[:] = SHADE
-    image[free_a | free_b] = _SEEN
-    image[free_a & free_b] = PAPER
     near = _NEAR / cell
     beside_a, beside_b = (distance_image(wall) <= near for wall in (wall_a, wall_b))
-    image[wall_a] = ONLY_A
-    image[wall_b] = ONLY_B
-    image[(wall_a & beside_b) | (wall_b & beside_a)] = BOTH
+    both = (wall_a & beside_b) | (wall_b & beside_a)
+    classes = np.zeros((height, width), np.uint8)
+    for k, cells in enumerate((free_a | free_b, free_a & free_b, wall_a, wall_b, both), 1):
+        classes[cells] = k
     left, bottom = transform_points(a.origin, low[None])[0]
-    shown = OccupancyGrid(
-        wall_a | wall_b,
-        (free_a | free_b) & ~(wall_a | wall_b),
-        cell,
-        Pose2D(left, bottom, a.origin.theta),
-    )
-    canvas = sheet(image, shown.info, building(shown)[1])
+    walls, origin = wall_a | wall_b, Pose2D(left, bottom, a.origin.theta)
+    shown = OccupancyGrid(walls, (free_a | free_b) & ~walls, cell, origin)
+    palette = (SHADE, _SEEN, PAPER, ONLY_A, ONLY_B, BOTH)
+    canvas = sheet(classes, shown.info, building(shown), palette)
     entries = [
-        (BOTH, f"walls of both, at most {_NEAR:g} m apart: {100 * place.agreement.share:.0f} %"),
-        (ONLY_A, f"only in {names[0]}"),
-        (ONLY_B, f"only in {names[1]}"),
-        (_SEEN, "seen in one of them"),
+        (BOTH, AREA, f"walls of both, within {_NEAR:g} m: {100 * place.agreement.share:.0f} %"),
+        (ONLY_A, AREA, f"only in {names[0]}"),
+        (ONLY_B, AREA, f"only in {names[1]}"),
+        (_SEEN, AREA, "seen in one of them"),
     ]
     at = f"x {x:.2f} m, y {y:.2f} m, turned by {math.degrees(theta):.1f} degrees"
     title = f"{names[1]} in the frame of {names[0]}: {found.verdict}, {at}"
-    return Picture(finished(canvas, shown, title, entries))
+    return framed(canvas, shown.origin, title, entries)
 
 
 def _corners(grid: OccupancyGrid) -> FloatArray:

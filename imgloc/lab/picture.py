@@ -2,24 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 
-import cv2
 import numpy as np
 
 from imgloc.geometry import in_grid_frame
 from imgloc.lab.atlas import Spot
 from imgloc.lab.changes import Changes
 from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.output.axes import finished
-from imgloc.output.canvas import (
-    INK,
-    PAPER,
-    SHADE,
-    Colour,
-    Image,
-    building,
-    map_canvas,
-    sheet,
-)
+from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, building, map_canvas, sheet
+from imgloc.output.plots import AREA, Entry, framed
 
 ATLAS_COLOURS: Mapping[str, Colour] = {
     "unique": (210, 150, 60),
@@ -48,55 +38,50 @@ def _red(places: int) -> int:
 
 def draw_atlas(
     grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int, title: str = ""
-) -> Image:
+) -> Picture:
     """Draw where a single scan is enough, and where it is not by how many places fit.
 
     Places are `step` metres apart. Each of the `headings` at a place has a wedge that points along
     it.
     """
-    canvas = map_canvas(grid, building(grid)[1])
+    part = building(grid)
+    canvas = map_canvas(grid, part)
     half = min(np.pi / headings, np.pi / 2) * 0.94
     arc = np.linspace(-half, half, 9)
     for spot in spots:
         pose = in_grid_frame(spot.pose, grid)
-        sure = spot.kind != "ambiguous"
-        colour = ATLAS_COLOURS[spot.kind] if sure else REDS[_red(spot.places)][1]
+        red = spot.kind == "ambiguous"
+        colour = REDS[_red(spot.places)][1] if red else ATLAS_COLOURS[spot.kind]
         rim = 0.46 * step * np.column_stack((np.cos(arc + pose.theta), np.sin(arc + pose.theta)))
         canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), colour)
-    walls = cv2.resize(grid.occupied[::-1].view(np.uint8), canvas.image.shape[1::-1],
-                       interpolation=cv2.INTER_NEAREST)  # fmt: skip
-    canvas.image[walls > 0] = INK
+    canvas.image[(map_canvas(grid, part, INK).image == INK).all(axis=2)] = INK
     kinds = [spot.kind for spot in spots]
-    share = 100 / max(1, len(spots))
-    entries = [
-        (ATLAS_COLOURS[kind], f"{meaning}: {share * kinds.count(kind):.1f} %")
-        for kind, meaning in _MEANINGS.items()
-        if kind in kinds or kind == "unique"
-    ]
     reds = [_red(spot.places) for spot in spots if spot.kind == "ambiguous"]
-    entries[1:1] = [
-        (colour, f"{words}: {share * reds.count(k):.1f} %")
-        for k, (_, colour, words) in enumerate(REDS)
+    counts = [(ATLAS_COLOURS[k], words, kinds.count(k)) for k, words in _MEANINGS.items()]
+    counts[1:1] = [(colour, words, reds.count(k)) for k, (_, colour, words) in enumerate(REDS)]
+    entries: list[Entry] = [
+        (colour, AREA, f"{words}: {100 * count / max(1, len(spots)):.1f} %")
+        for k, (colour, words, count) in enumerate(counts)
+        if count or k <= len(REDS)
     ]
-    entries += [(PAPER, "wedge: the way that the robot looks")] * (headings > 1)
+    entries += [(INK, "", "wedge: the way that the robot looks")] * (headings > 1)
     title = title or f"Is one scan enough? {len(spots):,} scans, {step:g} m apart"
-    return finished(canvas, grid, title, entries)
+    return framed(canvas, grid.origin, title, entries)
 
 
 GONE, NEW = (0, 94, 213), (178, 114, 0)
 
 
-def draw_changes(changes: Changes, title: str = "") -> Image:
+def draw_changes(changes: Changes, title: str = "") -> Picture:
     """Draw a map with its walls that are gone and the surfaces that are new, a ring around each."""
     grid, seen = changes.grid, changes.seen
     looked = (seen.near > 0) | (seen.passed > 0)
-    colours = np.empty((*grid.occupied.shape, 3), np.uint8)
-    colours[:] = SHADE
-    colours[grid.free] = PAPER
-    colours[grid.occupied] = _UNSEEN
-    colours[grid.occupied & looked] = INK
-    colours[changes.gone], colours[changes.new] = GONE, NEW
-    canvas = sheet(colours, grid.info, building(grid)[1])
+    palette = (SHADE, PAPER, _UNSEEN, INK, NEW, GONE)
+    layers = (grid.free, grid.occupied, grid.occupied & looked, changes.new, changes.gone)
+    classes = np.zeros(grid.occupied.shape, np.uint8)
+    for k, cells in enumerate(layers, 1):
+        classes[cells] = k
+    canvas = sheet(classes, grid.info, building(grid), palette)
     turn = np.linspace(0, 2 * np.pi, 33)
     ring = np.column_stack((np.cos(turn), np.sin(turn)))
     for piece in changes.pieces:
@@ -105,15 +90,12 @@ def draw_changes(changes: Changes, title: str = "") -> Image:
         canvas.lines((ring * (0.5 + 0.7 * piece.length) + (at.x, at.y))[None], colour, 2)
     kinds = [piece.kind for piece in changes.pieces]
     share, gone, new = changes.gone_share, kinds.count("gone"), kinds.count("new")
+    walls = "" if np.isnan(share) else f": {100 * share:.1f} % of the walls seen"
     entries = [
-        (
-            GONE,
-            f"gone, {gone} places"
-            + ("" if np.isnan(share) else f": {100 * share:.1f} % of the walls seen"),
-        ),
-        (NEW, f"new, {new} places: {changes.new_m2:.1f} m2"),
-        (INK, "wall that scans have seen"),
-        (_UNSEEN, "wall that no scan has seen"),
+        (GONE, AREA, f"gone, {gone} places{walls}"),
+        (NEW, AREA, f"new, {new} places: {changes.new_m2:.1f} m2"),
+        (INK, AREA, "wall that scans have seen"),
+        (_UNSEEN, AREA, "wall that no scan has seen"),
     ]
     title = title or f"What has changed, by {changes.seen.scans} scans with a sure pose"
-    return finished(canvas, grid, title, entries)
+    return framed(canvas, grid.origin, title, entries)

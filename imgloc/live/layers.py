@@ -60,7 +60,7 @@ def map_layer(grid: OccupancyGrid) -> Layer:
 
 
 def feature_layer(features: MapFeatures, what: str) -> Layer:
-    """What is computed from a map: ``bmap``, ``vmap`` (colour is direction) or ``distance``."""
+    """A feature of a map: ``bmap``, ``vmap`` (colour is direction) or ``distance``."""
     cell = features.lattice.resolution
     if what == "bmap":
         return _grey(features.bmap, cell, 0.0, 1.0)
@@ -127,7 +127,7 @@ def region_layer(grid: OccupancyGrid, corners: FloatArray) -> Layer:
 
 
 def seen_from(features: MapFeatures, at: tuple[float, float]) -> dict[str, object]:
-    """What is seen from a place, map frame: a polygon, and the surface point nearest to it.
+    """The view from a place, map frame: a polygon, and the surface point nearest to it.
 
     A ConfigError if the place is not on the map, a MapError if the map has no surface.
     """

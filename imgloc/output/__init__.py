@@ -1,1 +1,1 @@
-"""What leaves the program: rows of JSON, tables, pictures and pages."""
+"""Everything that leaves the program: rows of JSON, tables, pictures and pages."""

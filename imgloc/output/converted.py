@@ -35,7 +35,7 @@ _LIMITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_
 
 
 def convert(scans: ScanSet, path: PathLike, *, force: bool = False) -> None:
-    """Write scans in the form that the ending of the name says; see :data:`FORMS`.
+    """Write scans in the form that the ending of the name stands for; see :data:`FORMS`.
 
     Raises
     ------

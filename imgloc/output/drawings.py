@@ -9,7 +9,7 @@ from imgloc.io.images import encode_picture
 from imgloc.io.maps import load_map
 from imgloc.model import LaserScan, Localization, Pose2D
 from imgloc.options import TOLERANCES, Options, Reading
-from imgloc.output.canvas import draw_map
+from imgloc.output.features import draw_map
 from imgloc.output.pages import render_explanation
 from imgloc.output.pictures import draw
 from imgloc.output.tables import difference
@@ -48,7 +48,7 @@ def draw_answer(
 
 def draw_checked(path: Path, reading: Reading) -> dict[str, bytes]:
     """A map as it is read."""
-    return {"map": encode_picture(draw_map(load_map(path, allow_lossy=True, **reading)))}
+    return {"map": encode_picture(draw_map(load_map(path, allow_lossy=True, **reading)).image)}
 
 
 DRAWINGS: Mapping[str, Drawing] = {

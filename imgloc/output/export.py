@@ -1,8 +1,8 @@
 """Results of a batch as one flat table, a row for each scan, for pandas, Polars and DuckDB.
 
-Of an item without an answer there is one row, too: its status says why. Columns of `localize` have
-the best pose, map frame, metres and radians, with its covariance; of other jobs the names of nested
-values are joined by an underscore, and lists are JSON texts.
+Of an item without an answer there is one row, too: its status names the cause. Columns of
+`localize` have the best pose, map frame, metres and radians, with its covariance; of other jobs the
+names of nested values are joined by an underscore, and lists are JSON texts.
 """
 
 import csv

@@ -1,7 +1,6 @@
 """Pictures of what is computed from a map: surfaces, blurred maps, visibility, distances.
 
-Each is an :data:`~imgloc.output.canvas.Image` of (H * scale, W * scale, 3) pixels; without a
-`scale`, pixels per cell, small maps are enlarged.
+Those of arrays are bare, for :func:`imgloc.output.plots.framed`.
 """
 
 from collections.abc import Sequence
@@ -23,30 +22,28 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
-from imgloc.output.axes import finished
 from imgloc.output.canvas import (
+    GREY,
     INK,
     PALETTE,
+    PAPER,
     SHADE,
-    Canvas,
-    Colour,
+    WHOLE,
     Image,
+    Part,
+    Picture,
     building,
-    colour_bar,
-    draw_map,
+    faded,
     map_canvas,
     marker_size,
-    scale_bar,
     sheet,
     wheel,
 )
+from imgloc.output.plots import AREA, DOT, Bar, Entry, framed
 
 _NEAR = 3.0  # metres, up to which distances have colours of their own
-_GREYS: Image = np.rint(255 + np.linspace(0, 1, 64)[None, :, None] * (np.array(INK) - 255)).astype(
-    np.uint8
-)
-
-_WALL: Colour = (146, 140, 134)
+_GREYS: Image = np.array([[faded(INK, share) for share in np.linspace(0, 1, 64)]], np.uint8)
+_WALLS: Sequence[Entry] = ((GREY, AREA, "wall"), (SHADE, AREA, "unknown"))
 _TITLES = {
     "bmap": "bmap: blurred walls, in which CBML looks up endpoints",
     "vmap": "vmap: blurred directions of walls, with which CBML-O compares those of a scan",
@@ -58,7 +55,18 @@ _TITLES = {
 SUBJECTS = ("map", *_TITLES)
 
 
-def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | None = None) -> Image:
+def draw_map(grid: OccupancyGrid, title: str = "") -> Picture:
+    """Draw a map with axes: walls dark, free space white, unknown space grey."""
+    canvas = map_canvas(grid, building(grid), INK)
+    wide, high = np.ptp(canvas.box, axis=0).tolist()
+    title = title or f"Map: {wide:.1f} m x {high:.1f} m, a cell is {grid.resolution:.4g} m"
+    entries = [(INK, AREA, "wall"), (PAPER, AREA, "free"), (SHADE, AREA, "unknown")]
+    return framed(canvas, grid.origin, title, entries)
+
+
+def draw_feature(
+    features: MapFeatures, what: str, at: tuple[float, float] | None = None
+) -> Picture:
     """Draw a map, or one of its features: `what` is one of :data:`SUBJECTS`, else a ValueError.
 
     ``visibility`` is that of the surface point nearest to `at`, metres, map frame, by default of
@@ -69,33 +77,35 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
         return draw_map(grid)
     if what not in SUBJECTS:
         raise ValueError(f"cannot draw {what!r}, expected one of {', '.join(SUBJECTS)}")
-    scale, walls = building(grid)[1], [(_WALL, "wall"), (SHADE, "unknown")]
-
-    def done(image: Image, entries: Sequence[tuple[Colour, str]] = ()) -> Image:
-        """The picture of the whole map: cropped, with axes, a title and a legend."""
-        px_per_m = image.shape[1] / (grid.info.width * grid.resolution)
-        return finished(Canvas(image, px_per_m), grid, _TITLES[what], entries)
-
+    part, bar, entries = building(grid), None, list[Entry]()
     if what == "bmap":
-        image = done(draw_bmap(features.bmap, lattice, scale=_finer(scale, lattice, grid)))
-        return colour_bar(image, _GREYS, ("0: far from walls", "1: on a wall"), "blurred walls")
-    if what in ("vmap", "surface"):
-        image = (
-            draw_field(features.vmap, lattice.resolution, scale=_finer(scale, lattice, grid))
-            if what == "vmap"
-            else draw_surface(grid, features.surface, scale=scale)
-        )
+        canvas = draw_bmap(features.bmap, lattice, part)
+        bar = Bar(_GREYS, 0.0, 1.0, 0.25, "blurred walls: 1 on a wall, 0 far from walls")
+    elif what == "distance":
+        canvas = draw_distance(features.walls * grid.resolution, grid.info, part)
+        colours = _viridis(np.linspace(0, _NEAR, 64)[None])
+        about = f"metres to a wall ({_NEAR:g}: or more), a line at each metre"
+        bar = Bar(colours, 0.0, _NEAR, 1.0, about)
+    elif what == "visibility":
+        canvas, entries = _visibility(features, at, part)
+    else:
         turn = wheel(np.linspace(-np.pi, np.pi, 73)[None], np.full((1, 73), 0.8))
-        dots = [(INK, "dot: a wall without a sure direction")] * (not features.surface.valid.all())
-        image = done(image, walls + dots if what == "surface" else ())
-        title = "the wall faces, degrees; 0: along x, 90: along y"
-        return colour_bar(image, turn, ("-180", "180"), title)
-    if what == "distance":
-        image = done(draw_distance(features.walls * grid.resolution, grid.info, scale=scale))
-        ends = ("0", f"{_NEAR:g} or more")
-        title = "metres to a wall; a line at each metre"
-        return colour_bar(image, _viridis(np.linspace(0, _NEAR, 64)[None]), ends, title)
-    surface = features.surface
+        bar = Bar(turn, -180, 180, 90, "the wall faces, degrees: 0 to the right, 90 upwards")
+        if what == "vmap":
+            canvas = draw_field(features.vmap, lattice.resolution, part)
+        else:
+            canvas = draw_surface(grid, features.surface, part)
+            entries = list(_WALLS)
+            unsure = not features.surface.valid.all()
+            entries += [(INK, DOT, "a wall without a sure direction")] * unsure
+    return framed(canvas, grid.origin, _TITLES[what], entries, bar=bar)
+
+
+def _visibility(
+    features: MapFeatures, at: tuple[float, float] | None, part: Part
+) -> tuple[Picture, list[Entry]]:
+    """Draw what the surface point nearest to `at` sees, or the one that sees most."""
+    grid, surface = features.grid, features.surface
     if len(surface) == 0:
         raise MapError("the map has no surface: no occupied cell borders on a free one")
     horizon = min(features.horizon, float(np.hypot(*grid.occupied.shape)) * grid.resolution)
@@ -110,25 +120,19 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
         best = int(np.argmin(np.hypot(*(surface.xy - (there.x, there.y)).T)))
     alpha = float(np.nan_to_num(surface.alpha[best]))
     point, seen = surface.xy[best], vis[:, best]
-    image = draw_visibility(grid, point, seen, horizon=horizon, alpha=alpha, scale=scale)
+    canvas = draw_visibility(grid, point, seen, part, horizon=horizon, alpha=alpha)
     x, y = transform_points(grid.origin, point[None])[0]
-    fan = (PALETTE[4], f"what it sees; up to {horizon:g} m")
-    return done(image, [(INK, f"point of a wall, x {x:.2f} m, y {y:.2f} m"), fan, *walls])
+    entries = [(INK, DOT, f"point of a wall, x {x:.2f} m, y {y:.2f} m")]
+    entries.append((faded(PALETTE[4], 0.3), AREA, f"what it sees, up to {horizon:.1f} m"))
+    return canvas, [*entries, *_WALLS]
 
 
-def _finer(scale: int, lattice: GridInfo, grid: OccupancyGrid) -> int:
-    """Pixels per cell of the lattice, for a scale of the map."""
-    return max(1, round(scale * lattice.resolution / grid.resolution))
-
-
-def draw_surface(
-    grid: OccupancyGrid, surface: OrientedPoints, *, scale: int | None = None
-) -> Image:
+def draw_surface(grid: OccupancyGrid, surface: OrientedPoints, part: Part = WHOLE) -> Picture:
     """Draw surface points, grid frame, with their directed normals, coloured by direction.
 
     Points without a normal are black dots.
     """
-    canvas = map_canvas(grid, scale)
+    canvas = map_canvas(grid, part)
     points = surface.select(surface.valid)
     length = max(2.5 * grid.resolution, 8 / canvas.px_per_m)
     heads = points.xy + length * np.column_stack((np.cos(points.alpha), np.sin(points.alpha)))
@@ -136,11 +140,10 @@ def draw_surface(
     for tail, head, colour in zip(points.xy, heads, colours.tolist(), strict=True):
         canvas.lines(np.stack((tail, head))[None], tuple(colour))
     canvas.dots(surface.xy[~surface.valid], INK, 1.5)
-    scale_bar(canvas)
-    return canvas.image
+    return canvas
 
 
-def draw_field(vmap: Float32Array, resolution: float, *, scale: int | None = None) -> Image:
+def draw_field(vmap: Float32Array, resolution: float, part: Part = WHOLE) -> Picture:
     """Draw a blurred vector field (Fig. 4c): colour is direction, saturation is intensity.
 
     `vmap` (2, H, W) has the x and y components in cells with a side of `resolution` metres. Arrows
@@ -150,7 +153,7 @@ def draw_field(vmap: Float32Array, resolution: float, *, scale: int | None = Non
     strength = np.hypot(x, y)
     strength = strength / max(float(strength.max()), 1e-12)
     info = GridInfo(x.shape[0], x.shape[1], resolution)
-    canvas = sheet(wheel(np.arctan2(y, x), 0.55 * strength), info, scale)
+    canvas = sheet(wheel(np.arctan2(y, x), 0.55 * strength), info, part)
     apart = max(1, round(14 / (canvas.px_per_m * resolution)))
     rows, columns = _strongest(strength, apart)
     centre = (np.column_stack((columns // apart, rows // apart)) + 0.5) * apart * resolution
@@ -160,18 +163,17 @@ def draw_field(vmap: Float32Array, resolution: float, *, scale: int | None = Non
     tails, heads = canvas.pixels(centre - arrow / 2), canvas.pixels(centre + arrow / 2)
     for a, b in np.rint(np.stack((tails, heads), axis=1)).astype(int).tolist():
         cv2.arrowedLine(canvas.image, a, b, INK, 1, cv2.LINE_AA, tipLength=0.35)
-    return canvas.image
+    return canvas
 
 
-def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
+def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, part: Part = WHOLE) -> Picture:
     """Draw a blurred map (H, W) on its lattice (Fig. 3): white at 0, black at 1."""
     share = np.clip(np.asarray(bmap, dtype=np.float64), 0, 1)[..., None]
-    canvas = sheet(np.rint(255 + share * (np.array(INK) - 255)).astype(np.uint8), grid, scale)
-    scale_bar(canvas)
-    return canvas.image
+    colours = np.rint(255 + share * (np.array(INK) - 255)).astype(np.uint8)
+    return sheet(colours, grid, part)
 
 
-def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
+def draw_distance(distance: npt.ArrayLike, grid: GridInfo, part: Part = WHOLE) -> Picture:
     """Draw distances (H, W) to the nearest wall, metres: a fine line at each full metre.
 
     Walls, where they are 0, are dark; what is 3 m away or more has the last colour.
@@ -183,9 +185,7 @@ def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None 
     line = (floor != steps[1:, :-1]) | (floor != steps[:-1, 1:])
     colours[line] = np.rint(0.6 * colours[line] + 0.4 * 255)
     colours[metres <= 0] = INK
-    canvas = sheet(colours, grid, scale)
-    scale_bar(canvas)
-    return canvas.image
+    return sheet(colours, grid, part)
 
 
 def _viridis(metres: FloatArray) -> Image:
@@ -195,20 +195,15 @@ def _viridis(metres: FloatArray) -> Image:
 
 
 def draw_visibility(
-    grid: OccupancyGrid,
-    xy: npt.ArrayLike,
-    vis: npt.ArrayLike,
-    *,
-    horizon: float,
-    alpha: float = 0.0,
-    scale: int | None = None,
-) -> Image:
+    grid: OccupancyGrid, xy: npt.ArrayLike, vis: npt.ArrayLike, part: Part = WHOLE, *,
+    horizon: float, alpha: float = 0.0,
+) -> Picture:  # fmt: skip
     """Draw what the point `xy` (2,) of a surface sees: the array ``vis_j`` of Sec. V as a fan.
 
     The grid frame, metres, radians. `vis` (n_psi,) are distances to the nearest obstacle; where
     inf, the fan ends at `horizon`. Bin 0 points along `alpha`: the normal, if relative to it.
     """
-    canvas, xy = map_canvas(grid, scale), np.asarray(xy, dtype=np.float64)
+    canvas, xy = map_canvas(grid, part), np.asarray(xy, dtype=np.float64)
     reach = np.minimum(np.asarray(vis, dtype=np.float64), horizon)
     n = len(reach)
     # Each bin is a sector: it reaches half a bin to either side of its psi.
@@ -218,8 +213,7 @@ def draw_visibility(
     canvas.polygon(outline, PALETTE[4], 0.3)
     canvas.lines(np.concatenate((outline, outline[:1]))[None], PALETTE[0])
     canvas.dots(xy[None], INK, 0.7 * marker_size(canvas))
-    scale_bar(canvas)
-    return canvas.image
+    return canvas
 
 
 def _strongest(strength: FloatArray, apart: int) -> tuple[IntArray, IntArray]:

@@ -1,4 +1,4 @@
-"""What `imgloc inspect` writes of a log: lines of text, and a picture."""
+"""The report of `imgloc inspect` on a log: lines of text, and a picture."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,9 +13,8 @@ from imgloc.errors import as_options
 from imgloc.features.scanpoints import scan_xy
 from imgloc.io.kinds import Kind
 from imgloc.model import FloatArray, LaserScan, plain
-from imgloc.output.canvas import INK, PALETTE, TRUTH, Colour
-from imgloc.output.pictures import Picture
-from imgloc.output.plots import blank, ink
+from imgloc.output.canvas import INK, PALETTE, TRUTH, Colour, Picture
+from imgloc.output.plots import blank, ink, words
 from imgloc.output.tables import percent
 
 _FIRST = ("LaserScan", "PointCloud2", "Odometry", "OccupancyGrid", "TFMessage")
@@ -25,7 +24,7 @@ _SHOWN = 8  # kinds of lines, or topics
 def log_row(
     name: str, form: str, kinds: Sequence[Kind], report: LogReport, command: str
 ) -> dict[str, Any]:
-    """What is in a log, as plain values: an object of `imgloc inspect --json`."""
+    """The contents of a log as plain values: an object of `imgloc inspect --json`."""
     counts, edges = report.histogram
     return {
         "file": name,
@@ -48,7 +47,7 @@ def _finding(finding: Cause) -> dict[str, Any]:
 
 
 def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, command: str) -> str:
-    """What is in a log, as lines of text."""
+    """The contents of a log as lines of text."""
     facts = report.facts
     lines = [("format", form)]
     if kinds:
@@ -94,7 +93,7 @@ def _taken(log: Mapping[str, Any]) -> str:
 
 
 def _about(kind: Kind, seconds: float) -> str:
-    """How many, of which type, how often."""
+    """The count, type and rate of a kind of message."""
     rate = f", {kind.count / seconds:.3g}/s" if kind.count > 1 and seconds < math.inf else ""
     return f"{kind.count:,}" + (f" {kind.type.rpartition('/')[2]}" if kind.type else "") + rate
 
@@ -163,7 +162,7 @@ def _on_map(facts: Mapping[str, Any]) -> str:
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:
     """Draw the path of the odometry, one scan, and the histogram of ranges."""
     figure, pixels = blank(14.4, 5.6, layout="constrained")
-    figure.suptitle(name[-120:], parse_math=False)
+    figure.suptitle(words(name[-120:]))
     way, seen, ranges = figure.subplots(1, 3)
     path, (counts, edges) = report.path, report.histogram
     metres = 0.0

@@ -1,7 +1,7 @@
 """One self-contained HTML page that explains one answer: no script, no network, no other file.
 
-What it says is in ``templates/words.html``, how it is laid out in ``templates/explain.html``; here
-numbers become text.
+Its words are in ``templates/words.html``, its layout in ``templates/explain.html``; here numbers
+become text.
 """
 
 import math
@@ -34,9 +34,9 @@ def render_explanation(
     e: Explanation, title: str, *, truth: Pose2D | None = None, hints: Sequence[str] = (),
     version: str = __version__,
 ) -> str:  # fmt: skip
-    """Write the page, HTML; its `title` says what was localized where.
+    """Write the page, HTML; its `title` names the scan and the map.
 
-    With the `truth`, the pose of the sensor in the map frame, the error is stated. The `hints` say
+    With the `truth`, the pose of the sensor in the map frame, the error is stated. The `hints` name
     what to look at next.
     """
     poses, rays = [f.hypothesis.pose for f in e.fits], [f.rays for f in e.fits]
@@ -64,7 +64,7 @@ def why(e: Explanation) -> str:
 
 
 def likely(times: float) -> str:
-    """How a second hypothesis compares with the first.
+    """Compare a second hypothesis with the first.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def likely(times: float) -> str:
 
 
 def apart(a: Pose2D, b: Pose2D) -> str:
-    """How far one pose is from another, in words."""
+    """The distance of one pose from another, in words."""
     away, turn = difference(a, b)
     return f"{away:.1f} m and {math.degrees(turn):.0f}°"
 
@@ -141,7 +141,7 @@ def length(metres: float) -> str:
 
 
 def known_words(prior: Mapping[str, Any]) -> str:
-    """What was known beforehand, in words, of the parameter ``prior`` of an answer.
+    """The prior knowledge, in words, of the parameter ``prior`` of an answer.
 
     Examples
     --------
@@ -177,6 +177,6 @@ _FILTERS: tuple[Callable[..., object], ...] = (
 _DRAWINGS: tuple[Callable[..., object], ...] = (svg.draw_scan, svg.draw_rays, svg.draw_covariance)
 svg.ENVIRONMENT.filters |= {f.__name__: f for f in _FILTERS} | {
     "digits": minus,
-    "png": lambda likelihood, grid: svg.data_of(draw_likelihood(likelihood, grid=grid)),
+    "png": lambda likelihood, grid: svg.data_of(draw_likelihood(likelihood, grid).image),
 }
 svg.ENVIRONMENT.globals |= {f.__name__: f for f in _DRAWINGS}

@@ -125,7 +125,7 @@ _FAILURES = (
 
 @dataclass
 class _Counted(BatchSummary):
-    """What rows come to, with what their errors and times are made of."""
+    """The sums of rows, with what their errors and times are made of."""
 
     errors: list[float] = field(default_factory=list)  #: metres, of answers with a known pose
     ms: list[float] = field(default_factory=list)
@@ -252,7 +252,7 @@ def _table(
 ) -> dict[str, Any]:
     """A table for the page's script: columns, each with its values; texts by their number.
 
-    Columns that say nothing in any line are left out, unless it is to be `whole`.
+    Columns that are empty in every line are left out, unless it is to be `whole`.
     """
     out = []
     for k, column in enumerate(columns):

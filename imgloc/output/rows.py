@@ -37,7 +37,7 @@ def answer_row(
     index : int
         Index of the scan in its file.
     sensor, flipped : Pose2D, bool
-        How the user says that the sensor sits on the robot, where the scans do not state it.
+        The mount of the sensor as the user gave it, where the scans do not state it.
     about : mapping, optional
         Further parameters for the row.
     """

@@ -1,8 +1,8 @@
 """Drawings of an explanation as SVG: rays on the map, all hypotheses, a covariance, a scan.
 
-Lines stay sharp in print; the map's cells are an image. Colours and shapes both say what a ray
-is, so that neither the colour-blind nor a grey printer loses anything. Here is what is drawn where;
-how it is written is in ``templates/svg.html``, and the style sheet of the page has the colours.
+Lines stay sharp in print; the map's cells are an image. A kind of ray has a colour and a
+shape, so that neither the colour-blind nor a grey printer loses anything. Here is what is drawn
+where; how it is written is in ``templates/svg.html``, and the page's style sheet has the colours.
 """
 
 import base64
@@ -16,12 +16,11 @@ from markupsafe import Markup
 
 from imgloc.answers.explain import RayFit
 from imgloc.errors import as_options
-from imgloc.features.pyramid import any_of_blocks
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
 from imgloc.io.images import encode_picture
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
-from imgloc.output.canvas import INK, PAPER, SHADE, Image, deviation_ellipse, round_length
+from imgloc.output.canvas import INK, Image, Part, deviation_ellipse, map_canvas, round_length
 
 #: Shapes of the ends of rays, drawn around the point.
 SHAPES = {
@@ -129,24 +128,16 @@ def data_of(picture: Image) -> str:
 
 def map_image(grid: OccupancyGrid, view: View) -> Markup:
     """The cells of a map within a view as an image; what is off the map stays empty."""
-    cell = grid.resolution
-    low = np.floor(np.array([view.y, view.x]) / cell).astype(int)
-    high = np.ceil(np.array([view.y + view.height, view.x + view.width]) / cell).astype(int)
-    low, high = np.maximum(low, 0), np.minimum(high, grid.occupied.shape)
-    if (high <= low).any():
+    size = np.array([view.width, view.height])
+    low = np.array([view.x, view.y])
+    whole = grid.resolution * np.array(grid.occupied.shape[::-1])
+    if (low >= whole).any() or (low + size <= 0).any():
         return Markup()
-    factor = -(-int((high - low).max()) // _SIDE)
-    picture = cells_picture(grid, np.s_[low[0] : high[0], low[1] : high[1]], factor)
-    height, width = np.array(picture.shape[:2]) * factor * cell * view.scale
-    x, bottom = view.at(low[1] * cell, low[0] * cell)
-    return macro("cells", x=x, y=bottom - height, width=width, height=height, png=data_of(picture))
-
-
-def cells_picture(grid: OccupancyGrid, window: tuple[slice, slice], factor: int = 1) -> Image:
-    """A pixel for each block of cells: a wall if there is any in it, however thin."""
-    occupied, free = (any_of_blocks(cells[window], factor) for cells in (grid.occupied, grid.free))
-    colours = np.array([SHADE, PAPER, INK], dtype=np.uint8)
-    return np.asarray(colours[np.where(occupied, 2, free.astype(np.int64))][::-1])
+    canvas = map_canvas(grid, Part(np.array([low, low + size]), 1, _SIDE), INK)
+    height, width = np.array(canvas.image.shape[:2]) / canvas.px_per_m * view.scale
+    x, bottom = view.at(*canvas.corner)
+    png = data_of(canvas.image)
+    return macro("cells", x=x, y=bottom - height, width=width, height=height, png=png)
 
 
 def window(poses: Sequence[Pose2D], fits: Sequence[RayFit], px: float) -> list[View]:
@@ -171,7 +162,7 @@ def _near(away: FloatArray) -> BoolArray:
 
 
 def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: str) -> Markup:
-    """The scan on the map at a pose, grid frame: each ray in the colour of what it says.
+    """The scan on the map at a pose, grid frame: each ray in the colour of its kind.
 
     The `name` is the label of the robot; that of the best pose is "1".
     """

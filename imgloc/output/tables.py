@@ -293,7 +293,7 @@ median error 1.520 m and 0.86 deg'
 
 
 def times_words(answer: Localization) -> str:
-    """How long each step of an answer took."""
+    """The time of each step of an answer."""
     return ", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items())
 
 

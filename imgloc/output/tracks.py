@@ -5,6 +5,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,27 +20,22 @@ from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_points
 from imgloc.io.files import PathLike, display, write_bytes_atomic
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.output.axes import draw_grid, framed, wrapped
 from imgloc.output.canvas import (
     INK,
-    LEGEND,
     PALETTE,
     PAPER,
     SHADE,
     TRUTH,
-    Canvas,
     Colour,
-    Image,
+    Picture,
+    building,
     enlarged,
     faded,
-    legend,
     map_canvas,
     marker_size,
-    outlined,
-    text,
 )
-from imgloc.output.pictures import Picture
-from imgloc.output.plots import blank, ink
+from imgloc.output.pictures import mosaic
+from imgloc.output.plots import DASHED, DOT, LINE, ROBOT, Entry, blank, framed, ink
 from imgloc.runs.opening import quiet_libraries
 
 COLOURS: dict[str, Colour] = {
@@ -48,7 +44,7 @@ COLOURS: dict[str, Colour] = {
 START: Colour = PALETTE[2]
 SCAN: Colour = PALETTE[3]
 OFF: Colour = PALETTE[0]  #: of the way that a robot was carried
-_SIDE, _NARROW = 960, 480  # pixels of the longer side of a video at most, and of its width at least
+_SIDE = 960  # pixels of the longer side of the map of a video at most
 _CODECS = {".webm": "VP80", ".mp4": "mp4v"}
 _STEP = 3.0  # metres from scan to scan that are drawn as one way
 _MINUTES = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0)  # seconds between marks of time
@@ -61,7 +57,7 @@ _CARRIED = 1.0  # metres beyond twice what odometry says: no driving
 def tum_text(moments: Iterable[Moment], *, best: bool = False) -> str:
     """The trajectory for `evo_ape tum`: ``stamp x y z qx qy qz qw``, of unique poses only.
 
-    With `best` it has the best guesses, too, each below a comment that says so.
+    With `best` it has the best guesses, too, each below a comment that names it a guess.
     """
     lines = []
     for moment in moments:
@@ -89,7 +85,7 @@ def track_line(moment: Moment, *, best: bool = False) -> str:
 
 
 def track_header() -> str:
-    """What stands above the lines of :func:`track_line`."""
+    """The line above those of :func:`track_line`."""
     place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
     return f"{'index':>6} {'stamp':>14}  {'verdict':<22} {place} {'mass':>8} {'driven/m':>9}"
 
@@ -104,9 +100,10 @@ def draw_track(
     robot got farther than odometry knows it was carried: a dashed line leads there. Below is then
     the error of each unique pose over time.
     """
-    canvas = map_canvas(grid)
-    ticks = draw_grid(canvas, grid.origin)
-    back, size = inverse(grid.origin), marker_size(canvas)
+    back, guessed = inverse(grid.origin), [m for m in moments if m.best is not None]
+    poses = [compose(back, m.best) for m in guessed if m.best]
+    canvas = map_canvas(grid, building(grid, poses))
+    size = marker_size(canvas)
     if truth is not None and len(truth) > 1:
         carried = np.hypot(*np.diff(truth[:, :2], axis=0).T)
         carried -= 2 * np.diff([m.metres for m in moments])
@@ -114,8 +111,7 @@ def draw_track(
         for part in np.split(truth, breaks):
             known = part[np.isfinite(part[:, 0]), :2]
             canvas.lines(transform_points(back, known)[None], TRUTH)
-    guessed = [m for m in moments if m.best is not None]
-    at = transform_points(back, np.array([(m.best.x, m.best.y) for m in guessed if m.best]))
+    at = np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2)
     for m, xy in zip(guessed, at, strict=True):
         radius = 0.3 * size if m.belief.verdict == UNIQUE else 0.2 * size
         canvas.dots(xy[None], COLOURS[m.belief.verdict], radius)
@@ -129,38 +125,39 @@ def draw_track(
             carried_off.append(far)
             dashes = np.linspace(xy, next_xy, 2 * max(2, round(far * canvas.px_per_m / 16)))
             canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
-    words = _marks(canvas, sure, grid.origin.theta, moments[0].stamp if moments else math.nan)
-    counts = [sum(m.belief.verdict == name for m in moments) for name in COLOURS]
-    words = [
-        (COLOURS[name], f"{name}: {count} of {len(moments)}")
-        for name, count in zip(COLOURS, counts, strict=True)
-    ] + words
+    begin = moments[0].stamp if moments else math.nan
+    marks, labels = _marks(canvas, sure, grid.origin.theta, begin)
+    verdicts = [m.belief.verdict for m in moments]
+    entries = [
+        (colour, DOT, f"{name}: {verdicts.count(name)} of {len(moments)}")
+        for name, colour in COLOURS.items()
+    ] + marks
     if carried_off:
         lengths = ", ".join(f"{far:.1f} m" for far in carried_off[:_LISTED])
-        words.append(
-            (OFF, f"dashed: carried off, {lengths}" + ", ..." * (len(carried_off) > _LISTED))
-        )
+        more = ", ..." * (len(carried_off) > _LISTED)
+        entries.append((OFF, DASHED, f"carried off, {lengths}{more}"))
     if truth is not None:
-        words.append((TRUTH, "true path"))
-    image = framed(canvas.image, ticks, title)
+        entries.append((TRUTH, LINE, "true path"))
+    title = title or "The way that the robot took"
+    picture = framed(canvas, grid.origin, title, entries, labels=labels)
     found = None if truth is None else deviation_of(moments, truth)
     if found is not None and len(found.ape) > 1:
-        image = np.concatenate((image, _curve(moments, found, image.shape[1])))
-    return Picture(legend(image, words))
+        picture = mosaic([picture, _curve(moments, found, picture.image.shape[1])], columns=1)
+    return picture
 
 
 def _marks(
-    canvas: Canvas, sure: Sequence[tuple[Moment, FloatArray]], turned: float, begin: float
-) -> list[tuple[Colour, str]]:
-    """Mark start, end, direction and minutes of a path; returns what the marks mean."""
+    canvas: Picture, sure: Sequence[tuple[Moment, FloatArray]], turned: float, begin: float
+) -> tuple[list[Entry], list[tuple[float, float, str]]]:
+    """Mark start, end, direction and minutes of a path; entries of the legend, and labels."""
     if not sure:
-        return []
+        return [], []
     size, f = marker_size(canvas), enlarged(canvas.image)
     points = canvas.pixels(np.array([xy for _, xy in sure]))
     way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     last = sure[-1][0].stamp - begin
     every = next((s for s in _MINUTES if last / s <= _MARKS), _MINUTES[-1])
-    next_arrow, next_mark, used = 6 * size, every, list[tuple[FloatArray, str]]()
+    next_arrow, next_mark, used, labels = 6 * size, every, list[FloatArray](), []
     for (moment, xy), pixel, far in zip(sure, points, way, strict=True):
         pose = moment.pose
         assert pose is not None
@@ -170,25 +167,26 @@ def _marks(
         since = moment.stamp - begin
         if since >= next_mark:
             time, next_mark = since // every * every, (since // every + 1) * every
-            near = any(np.abs(pixel - other).max() <= 30 * f for other, _ in used)
+            near = any(np.abs(pixel - other).max() <= 30 * f for other in used)
             if since - time < 0.2 * every:  # else no pose was unique at that time
                 canvas.dots(xy[None], INK, 0.35 * size)
                 label = f"{time / 60:g} min" if every >= 60 else f"{time:g} s"
-                used += [] if near else [(pixel, label)]
-    for pixel, label in used:
-        x, y = round(pixel[0] + 0.6 * size), round(pixel[1] - 0.6 * size)
-        outlined(canvas.image, label, x, y, round(12 * f), 2)
+                if not near:
+                    used.append(pixel)
+                    away = np.array((24 * f, 10 * f)) / canvas.px_per_m
+                    labels.append((*(xy + away).tolist(), label))
     first, end = sure[0], sure[-1]
     canvas.dots(first[1][None], PAPER, 1.2 * size)
     canvas.dots(first[1][None], START, size)
     pose = end[0].pose
     assert pose is not None
     canvas.robot(end[1][0], end[1][1], pose.theta - turned, COLOURS[UNIQUE], size)
-    marks = [(START, "first unique pose"), (COLOURS[UNIQUE], "robot: last unique pose")]
-    return [*marks, (INK, "arrow: direction")] + ([(INK, "dot: time")] if last >= every else [])
+    marks = [(START, DOT, "first unique pose"), (COLOURS[UNIQUE], ROBOT, "last unique pose")]
+    marks.append((INK, ">", "direction"))
+    return marks + [(INK, DOT, "time since the first scan")] * (last >= every), labels
 
 
-def _arrow(canvas: Canvas, xy: FloatArray, theta: float, size: float) -> None:
+def _arrow(canvas: Picture, xy: FloatArray, theta: float, size: float) -> None:
     """An arrow head on the path that points along the heading."""
     r = size / canvas.px_per_m
     turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
@@ -197,7 +195,7 @@ def _arrow(canvas: Canvas, xy: FloatArray, theta: float, size: float) -> None:
     )
 
 
-def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Image:
+def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Picture:
     """The distance of each unique pose from the true one, over time."""
     f = max(1.0, width / 1500)
     figure, pixels = blank(width / 100, 2.4 * f, layout="constrained")
@@ -215,21 +213,18 @@ def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Image:
     axes.set(xlim=(0.0, max(float(x[-1]), 1e-9)), ylim=(0.0, 1.05 * max(found.ape.max(), 0.01)))
     axes.tick_params(labelsize=8 * f)
     axes.grid(color=ink(SHADE))
-    out = pixels()
-    return np.pad(out, ((0, 0), (0, width - out.shape[1]), (0, 0)), constant_values=255)
+    return Picture(pixels())
 
 
-def draw_belief(canvas: Canvas, belief: Belief) -> Image:
-    """Draw all places of a belief, grid frame, on a copy of the map: as dark as they are likely."""
-    sheet = Canvas(canvas.image.copy(), canvas.px_per_m)
+def _draw_belief(canvas: Picture, belief: Belief) -> None:
+    """Draw all places of a belief, grid frame: as dark as they are likely."""
     size, colour = marker_size(canvas), COLOURS[belief.verdict]
     for pose, mass in list(zip(belief.poses, belief.mass, strict=True))[::-1]:
         if mass < _DRAWN:
             continue
         ink = faded(colour, 0.25 + 0.75 * math.sqrt(float(mass)))
-        x, y, theta = pose
-        sheet.robot(x, y, theta, ink, size * (0.5 + 0.5 * float(mass)))
-    return sheet.image
+        x, y, theta = pose.tolist()
+        canvas.robot(x, y, theta, ink, size * (0.5 + 0.5 * float(mass)))
 
 
 class Video:
@@ -244,46 +239,53 @@ class Video:
     """
 
     def __init__(self, features: MapFeatures, ending: str = ".webm", title: str = "") -> None:
-        large, self._origin = map_canvas(features.grid), features.grid.origin
-        scale = min(1.0, _SIDE / max(large.image.shape[:2]))
-        height, width = (2 * max(1, round(scale * n / 2)) for n in large.image.shape[:2])
-        small = cv2.resize(large.image, (width, height), interpolation=cv2.INTER_AREA)
-        self._canvas = Canvas(np.asarray(small, np.uint8), scale * large.px_per_m)
-        self._size = max(width, _NARROW), height + 2 * LEGEND
-        first, *more = wrapped(title, self._size[0] - 32, 13)
-        self._title = f"{first} ..." if more else first
+        grid = features.grid
+        large = map_canvas(grid, building(grid))
+        shrink = min(1.0, _SIDE / max(large.image.shape[:2]))
+        small = cv2.resize(large.image, None, None, shrink, shrink, cv2.INTER_AREA)
+        self._map = Picture(np.asarray(small, np.uint8), shrink * large.px_per_m, large.corner)
+        entries: list[Entry] = [(colour, ROBOT, name) for name, colour in COLOURS.items()]
+        entries += [(faded(COLOURS[AMBIGUOUS], 0.4), ROBOT, "other places, paler if less likely")]
+        entries += [(SCAN, DOT, "scan"), (COLOURS[UNIQUE], LINE, "way")]
+        sheet = framed(self._map, grid.origin, title, entries)
+        # Where in it the upper left pixel of the map is.
+        upper = np.array([(self._map.box[0, 0], self._map.box[1, 1])])
+        self._left, self._top = np.rint(sheet.pixels(upper)[0] + 0.5).astype(int).tolist()
+        height, width = sheet.image.shape[:2]
+        figure, self._line = blank((width + width % 2) / 100, 0.28, facecolor="white")
+        self._words = figure.text(16 / width, 0.4, "", size=10, color=ink(INK))
+        around = ((0, 28 + height % 2), (0, width % 2), (0, 0))
+        self._sheet = np.pad(sheet.image, around, constant_values=255)
         self._trail, self._begin = list[FloatArray](), math.nan
         self._last: int | None = None
         handle, self._path = tempfile.mkstemp(suffix=ending)
         os.close(handle)
         fourcc = cv2.VideoWriter.fourcc(*_CODECS[ending])
         with quiet_libraries():  # FFmpeg says that it does not know the tag, and writes it
-            self._writer = cv2.VideoWriter(self._path, fourcc, 10.0, self._size)
+            self._writer = cv2.VideoWriter(self._path, fourcc, 10.0, self._sheet.shape[1::-1])
 
     def add(self, moment: Moment, scan: LaserScan | None = None) -> None:
         """Add the frame of a moment, with its scan at the best place."""
         if math.isnan(self._begin):
             self._begin = moment.stamp
-        canvas = Canvas(self._canvas.image.copy(), self._canvas.px_per_m)
-        verdict, belief = moment.belief.verdict, moment.belief
-        for part in self._trail:
-            canvas.lines(part[None], COLOURS[UNIQUE], 2)
+        frame, belief = self._sheet.copy(), moment.belief
+        height, width = self._map.image.shape[:2]
+        part = frame[self._top :, self._left :][:height, :width]
+        canvas = replace(self._map, image=part)
+        for way in self._trail:
+            canvas.lines(way[None], COLOURS[UNIQUE], 2)
         if scan is not None and len(belief.poses):
             base = Pose2D(*belief.poses[0])
             at = base if scan.T_base_laser is None else compose(base, scan.T_base_laser)
             canvas.dots(transform_points(at, scan_xy(scan)[scan.valid]), SCAN, 1.5)
         self._extend(moment)
-        image = draw_belief(canvas, belief)
+        _draw_belief(canvas, belief)
         about = f"{moment.stamp - self._begin:.1f} s, " if np.isfinite(moment.stamp) else ""
-        words = [(COLOURS[verdict], f"{about}{moment.metres:.1f} m: {verdict}"), (SCAN, "scan")]
         others = sum(belief.mass[1:] >= _DRAWN)
-        words += [(faded(COLOURS[verdict], 0.4), f"{others} other places")] if others else []
-        width, height = self._size
-        frame = np.full((height, width, 3), 255, np.uint8)
-        text(frame, self._title, 8, 24)
-        frame[LEGEND : LEGEND + len(image), : image.shape[1]] = image
-        below = legend(np.full((1, width, 3), 255, np.uint8), words)[1 : LEGEND + 1, :width]
-        frame[height - LEGEND :][: len(below)] = below
+        more = f", {others} other places" if others else ""
+        self._words.set_text(f"{about}{moment.metres:.1f} m: {belief.verdict}{more}")
+        line = self._line()
+        frame[-len(line) :, : line.shape[1]] = line
         self._writer.write(frame)
 
     def _extend(self, moment: Moment) -> None:

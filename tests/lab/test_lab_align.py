@@ -268,14 +268,13 @@ def test_what_only_one_map_has_is_drawn_in_its_colour(a):
     more[48:50, 50:60] = True
     more[45:50, 10:18] = False
     b = OccupancyGrid(more, ~more, 0.1, a.origin)
-    image = draw_alignment(a, b, align_maps(a, b)).image
-    image = image[30 : 30 + 60 * 13, -6 - 80 * 13 : -6]  # below the title, right of the ticks
+    picture = draw_alignment(a, b, align_maps(a, b))
+    scale = picture.px_per_m / 10  # pixels of a cell
     for colour, cells, (x, y) in ((ONLY_A, 40, (14, 47.5)), (ONLY_B, 20, (55, 49))):
-        row, column = np.nonzero((image == colour).all(axis=2))
-        scale = 13  # pixels of a cell
+        row, column = np.nonzero((picture.image == colour).all(axis=2))
         assert len(row) / scale**2 == pytest.approx(cells, rel=0.1)
-        assert np.median(column) / scale == pytest.approx(x, abs=1.6)
-        assert 60 - np.median(row) / scale == pytest.approx(y, abs=1.6)
+        found = np.median(column), np.median(row)
+        assert found == pytest.approx(picture.pixels(np.array([(x, y)]) * 0.1)[0], abs=21)
 
 
 def test_poses_keep_their_other_columns(a, tmp_path):

@@ -15,6 +15,7 @@ import pytest
 from command import MAPS, ROOT, call, command, rows
 
 from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.geometry import in_grid_frame
 from imgloc.lab.atlas import TOP, Spot, atlas_poses, survey, survey_part
 from imgloc.lab.atlas_rows import COLUMNS, Journal, as_csv
 from imgloc.lab.picture import ATLAS_COLOURS, REDS, draw_atlas
@@ -195,9 +196,11 @@ def test_a_wedge_points_along_its_heading() -> None:
     spots = [
         spot(Pose2D(0.0, 1.0, theta), kind) for theta, kind in ((0.0, "unique"), (np.pi, "wrong"))
     ]
-    image = draw_atlas(grid, spots, step=1.0, headings=4)[:350]
-    down, up = (np.argwhere((image == ATLAS_COLOURS[s.kind]).all(axis=2)) for s in spots)
-    up = up[up[:, 1] > down[:, 1].min()]  # and not of the title
+    picture = draw_atlas(grid, spots, step=1.0, headings=4)
+    place = in_grid_frame(Pose2D(0.0, 1.0), grid)
+    ((x, y),) = picture.pixels(np.array([(place.x, place.y)])).tolist()
+    near = picture.image[round(y) - 80 : round(y) + 80, round(x) - 80 : round(x) + 80]
+    down, up = (np.argwhere((near == ATLAS_COLOURS[s.kind]).all(axis=2)) for s in spots)
     assert abs(down[:, 1].mean() - np.median(up[:, 1])) < 5
     assert down[:, 0].mean() > np.median(up[:, 0]) + 40
 
@@ -207,8 +210,8 @@ def test_the_more_places_fit_the_redder() -> None:
     pose, twin = Pose2D(1.5, 1.5), Pose2D(2.0, 2.0)
     for places, (_, colour, _) in zip((2, 3, 9), REDS, strict=True):
         some = [Spot(pose, "ambiguous", 0.4, 0.0, 0.0, twin, 0.3, places)]
-        image = draw_atlas(OccupancyGrid(~free, free, 0.1), some, step=1.0, headings=1)
-        shown = [(image[:480] == red).all(axis=2).sum() > 99 for _, red, _ in REDS]
+        image = draw_atlas(OccupancyGrid(~free, free, 0.1), some, step=1.0, headings=1).image
+        shown = [(image == red).all(axis=2).sum() > 999 for _, red, _ in REDS]
         assert shown == [red == colour for _, red, _ in REDS]
         assert Spot.of(some[0].row) == some[0]
 
@@ -220,9 +223,10 @@ def test_the_legend_counts(tmp_path: Path) -> None:
         spot(Pose2D(1.0, 1.0), "ambiguous", Pose2D(2.0, 2.0)),
         spot(Pose2D(2.0, 1.0), "wrong"),
     ]
-    image = draw_atlas(grid, spots, step=0.5, headings=1)
-    legend = image[480:]
-    assert (legend == ATLAS_COLOURS["wrong"]).all(axis=2).any()
+    picture = draw_atlas(grid, spots, step=0.5, headings=1)
+    low = round(float(picture.pixels(np.zeros((1, 2)))[0, 1])) + 40
+    legend = picture.image[low:]
+    assert (legend == ATLAS_COLOURS["wrong"]).all(axis=2).sum() > 50
     assert not (legend == ATLAS_COLOURS["no-match"]).all(axis=2).any()
 
 

@@ -151,12 +151,11 @@ def test_scans_that_leave_the_map_say_nothing_of_it():
 
 def test_the_picture_has_both_colours_upside_up(moved):
     old, now = moved
-    image = draw_changes(changed(old, scanned(now, POSES)))
-    image = image[30 : 30 + 60 * 13, -6 - 80 * 13 : -6]  # below the title, right of the ticks
+    picture = draw_changes(changed(old, scanned(now, POSES)))
     for colour, (x, y) in ((GONE, (41, 33)), (NEW, (54, 17))):
-        row, column = np.nonzero((image == colour).all(axis=2))
-        assert np.median(column) / 13 == pytest.approx(x, abs=2)
-        assert 60 - np.median(row) / 13 == pytest.approx(y, abs=3)
+        row, column = np.nonzero((picture.image == colour).all(axis=2))
+        found = np.median(column), np.median(row)
+        assert found == pytest.approx(picture.pixels(np.array([(x, y)]) * 0.1)[0], abs=35)
 
 
 def test_the_command_counts_draws_and_mends(moved, tmp_path):

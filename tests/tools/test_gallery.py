@@ -28,6 +28,7 @@ def test_the_gallery_is_short() -> None:
         "atlas",
         "folder",
         "from_a_png",
+        "kinds",
         "own_map",
         "own_score",
         "prior",

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from imgloc.model import OccupancyGrid, OrientedPoints, Pose2D
+from imgloc.output.canvas import Part, Picture
 from tools.paper.figures import (
     cross,
     draw_comparison,
     draw_fields,
     draw_scan,
-    lettered,
     ring,
     scene,
 )
@@ -25,16 +25,8 @@ def scenes():
     return {name: scene(name, threads=2) for name in ("fig1", "fig2", "fig4")}
 
 
-def test_panels_get_a_frame_and_keep_what_is_in_it():
-    (_, framed), *_ = lettered([("a map", np.full((5, 7, 3), 9, np.uint8))])
-    assert (framed[1:-1, 1:-1] == 9).all()
-    assert (framed[[0, -1]] != 9).all()
-    assert (framed[:, [0, -1]] != 9).all()
-
-
 def test_a_cross_lies_on_its_position():
-    info = OccupancyGrid(np.zeros((20, 40), bool), np.ones((20, 40), bool), 0.1).info
-    image = cross(np.zeros((200, 400, 3), np.uint8), info, np.array((3.0, 0.5)))
+    image = cross(Picture(np.zeros((200, 400, 3), np.uint8), 100.0), np.array((3.0, 0.5))).image
     rows, columns = np.nonzero((image == BLUE).all(axis=2))
     assert abs(columns.mean() - 300) < 1
     assert abs(rows.mean() - 150) < 1  # row 0 is at the top
@@ -42,9 +34,8 @@ def test_a_cross_lies_on_its_position():
 
 def test_a_ring_leaves_what_is_in_it():
     image = np.full((200, 200, 3), 7, np.uint8)
-    info = OccupancyGrid(np.zeros((20, 20), bool), np.ones((20, 20), bool), 0.1).info
-    drawn = ring(image, info, Pose2D(1.0, 1.0, 0.0))
-    assert drawn is image
+    canvas = Picture(image, 100.0)
+    assert ring(canvas, Pose2D(1.0, 1.0, 0.0)) is canvas
     assert (image[100, 100] == 7).all()  # the pose itself
     red = (image == RED).all(axis=2)
     rows, columns = np.nonzero(red)
@@ -56,8 +47,10 @@ def test_a_scan_lies_where_it_was_taken():
     grid = OccupancyGrid(np.zeros((40, 40), bool), np.ones((40, 40), bool), 0.1)
     point = OrientedPoints(np.array([[1.0, 0.0]]), np.array([np.pi]), np.ones(1), np.ones(1, bool))
     nothing = point.select(np.empty(0, int))
-    empty = draw_scan(grid, Pose2D(2.0, 1.0, np.pi / 2), nothing, scale=10)
-    drawn = draw_scan(grid, Pose2D(2.0, 1.0, np.pi / 2), point, scale=10)
+    empty, drawn = (
+        draw_scan(grid, Pose2D(2.0, 1.0, np.pi / 2), points, Part(scale=10)).image
+        for points in (nothing, point)
+    )
     rows, columns = np.nonzero((empty != drawn).any(axis=2))
     assert abs(rows.mean() - 200) < 15  # y = 2, row 0 at the top
     assert abs(columns.mean() - 200) < 8

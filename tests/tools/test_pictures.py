@@ -18,7 +18,7 @@ def test_a_stale_picture_is_noticed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     there, made_by = pictures.load(pictures.FOLDER / "track.png")
-    assert re.fullmatch(r"OpenCV \d+\.\d+", made_by)
+    assert re.fullmatch(r"matplotlib \d+\.\d+", made_by)
     now = cv2.circle(there.copy(), (600, 140), 12, (60, 20, 220), -1)  # a robot that was not there
     monkeypatch.setattr(pictures, "LETTERS", made_by)
     monkeypatch.setattr(pictures, "PICTURES", {"track": lambda: now})

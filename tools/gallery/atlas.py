@@ -15,4 +15,4 @@ def picture() -> Picture:
     poses = atlas_poses(grid, 3.0, 2, 0.3)
     scans = simulate_at(grid, poses, Sensor(rays=91, range_max=6.0), 0, None)
     spots = list(survey(grid, scans, Options(top=TOP, threads=1), workers=1))
-    return Picture(draw_atlas(grid, spots, step=3.0, headings=2))
+    return draw_atlas(grid, spots, step=3.0, headings=2)

@@ -13,7 +13,7 @@ from imgloc.simulation.scans import simulate
 
 
 def picture() -> Picture:
-    """Two good files and a broken one: a picture of each answer, the error as a caption."""
+    """Two good files and a broken one: a picture of each answer, the error as a title."""
     grid = load_map(bundled_maps() / "double_wall.yaml")
     features, sheets = prepare(grid), []
     with TemporaryDirectory() as name:
@@ -26,8 +26,8 @@ def picture() -> Picture:
                 scan = load_scans(file)[0]
             except ImglocError as error:
                 words = str(error).removeprefix(f"{folder}/")
-                sheets.append((f"{words[:60]} ...", draw(grid).image))
+                sheets.append(draw(grid, title=words))
                 continue
             answer = localize(features, scan)
-            sheets.append((f"{file.name}: {answer.verdict}", draw(features, answer, scan).image))
-    return Picture(mosaic(sheets, top=True))
+            sheets.append(draw(features, answer, scan, title=file.name))
+    return mosaic(sheets)

@@ -8,7 +8,8 @@ import math
 from imgloc import Options, Pose2D, Prior, Sensor, draw, load_map, localize, prepare, simulate
 from imgloc.geometry import in_grid_frame
 from imgloc.io.maps import bundled_maps
-from imgloc.output.pictures import Picture, mosaic
+from imgloc.output.canvas import Picture
+from imgloc.output.pictures import mosaic
 from imgloc.search.priors import near
 
 
@@ -22,5 +23,5 @@ def picture() -> Picture:
     sheets = []
     for title, prior in (("nothing known", Prior()), ("roughly where", place)):
         answer = localize(features, scan, Options(prior=prior))
-        sheets.append((f"{title}: {answer.verdict}", draw(features, answer, scan).image))
-    return Picture(mosaic(sheets, columns=1))
+        sheets.append(draw(features, answer, scan, title=title))
+    return mosaic(sheets, columns=1)

@@ -8,6 +8,7 @@ import numpy as np
 from imgloc import Picture, likelihood, load_map, prepare, simulate
 from imgloc.io.maps import bundled_maps
 from imgloc.output.canvas import sheet, wheel
+from imgloc.output.plots import Bar, framed
 
 
 def picture() -> Picture:
@@ -18,4 +19,7 @@ def picture() -> Picture:
     best = stack.values.max(axis=0)
     heading = stack.thetas[stack.values.argmax(axis=0)]
     strength = np.sqrt(best / max(float(best.max()), 1e-12))
-    return Picture(sheet(wheel(heading, strength), stack.grid, None).image)
+    canvas = sheet(wheel(heading, strength), stack.grid)
+    turns = wheel(np.linspace(-np.pi, np.pi, 73)[None], np.ones((1, 73)))
+    bar = Bar(turns, -180, 180, 90, "heading, degrees")
+    return framed(canvas, grid.origin, "The best heading of each place", bar=bar)

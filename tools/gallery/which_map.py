@@ -15,10 +15,7 @@ def picture() -> Picture:
     scan = simulate(maps["visibility"].grid, 1, seed=6)[0]
     choice = which(maps, scan)
     sheets = [
-        (
-            f"{name}: {100 * share:.1f} %",
-            draw(maps[name], localize(maps[name], scan), scan).image,
-        )
+        draw(maps[name], localize(maps[name], scan), scan, title=f"{name}, {100 * share:.1f} %")
         for name, share in choice.probability.items()
     ]
-    return Picture(mosaic(sheets))
+    return mosaic(sheets)

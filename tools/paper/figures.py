@@ -1,21 +1,21 @@
 """Figs. 1, 2, 4 and 5: a world, a pose in it, a scan, each method's stack, and their panels."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-import cv2
 import numpy as np
 
-from imgloc import GridInfo, LaserScan, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
+from imgloc import LaserScan, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import centre_of, transform_points, uniform_thetas
 from imgloc.lab.performance_index import global_maximum
 from imgloc.model import FloatArray, compose
-from imgloc.output.canvas import PAPER, TRUTH, Canvas, Image, draw_map, marker_size
+from imgloc.output.canvas import INK, PAPER, TRUTH, Image, Part, Picture, map_canvas, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface
 from imgloc.output.pictures import draw_likelihood, mosaic
+from imgloc.output.plots import framed
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import NICHES, WORLDS, render
 from tools.paper.table import CELL, stack_of
@@ -26,7 +26,6 @@ WINDOW_FIG_4 = (21.0, 20.0, 27.0, 26.0)
 """The part of the map that Fig. 4 shows: least x and y, greatest x and y, metres."""
 _REACH = 60.0  # metres; farther than any wall
 _MAXIMUM = (178, 114, 0)
-_FRAME = (205, 199, 193)
 _APART = 0.3  # metres from the true pose at which a maximum is marked
 
 
@@ -102,9 +101,9 @@ def scene(name: str, *, threads: int = 1, advance: Callable[[], None] = lambda: 
 def figure(name: str, threads: int = 1, advance: Callable[[], None] = lambda: None) -> Image:
     """Compute and draw a figure of :data:`SETTINGS`, (H, W, 3) BGR."""
     s = scene(name, threads=threads, advance=advance)
-    return (
-        draw_fields(s) if name == "fig4" else draw_comparison(s, scale=1 if name == "fig5" else 3)
-    )
+    if name == "fig4":
+        return draw_fields(s)
+    return draw_comparison(s, scale=1 if name == "fig5" else 3)
 
 
 def draw_comparison(s: Scene, *, scale: int) -> Image:
@@ -113,69 +112,61 @@ def draw_comparison(s: Scene, *, scale: int) -> Image:
     The true pose is a red ring in every panel; a blue cross is a maximum that is elsewhere. The
     scan stands between the second stack and the third. `scale` is in pixels per cell.
     """
-    grid = s.features.grid
-    first = ("Map, true pose", ring(draw_map(grid, scale=scale), grid.info, s.truth))
-    return _panels([first], grid, s.truth, s.points, s.stacks, scale)
+    part = Part(scale=scale)
+    return _panels(
+        [("Map, true pose", ring(map_canvas(s.features.grid, part, INK), s.truth))], s, part
+    )
 
 
 def draw_fields(s: Scene) -> Image:
     """Draw what CBML and CBML-O make of :data:`WINDOW_FIG_4`, and what comes of it near a pose."""
-    grid, cell = s.features.grid, s.features.grid.resolution
-    x0, y0, x1, y1 = (round(v / cell) for v in WINDOW_FIG_4)
-    part, scale = np.s_[y0:y1, x0:x1], 9
-    shift = np.array((x0, y0)) * cell
-    local = s.features.surface.xy - shift
-    seen = np.all((local >= 0) & (local <= np.array((x1 - x0, y1 - y0)) * cell), axis=1)
-    near = replace(s.features.surface.select(seen), xy=local[seen])
-    here = Pose2D(s.truth.x - float(shift[0]), s.truth.y - float(shift[1]), s.truth.theta)
-    cut = OccupancyGrid(grid.occupied[part], grid.free[part], cell)
-    drawn = ring(draw_surface(cut, near, scale=scale), cut.info, here)
+    features, box = s.features, np.array(WINDOW_FIG_4).reshape(2, 2)
+    part, grid = Part(box, 9), features.grid
+    (x0, y0), (x1, y1) = np.rint(box / grid.resolution).astype(int).tolist()
+    here = np.zeros(grid.occupied.shape, bool)  # of other places nothing is compared
+    here[y0:y1, x0:x1] = True
+    stacks = tuple((name, replace(one, values=one.values * here)) for name, one in s.stacks)
     panels = [
-        ("Map: surface points, true pose", drawn),
-        ("bmap", draw_bmap(s.features.bmap[part], cut.info, scale=scale)),
-        ("Vector field", draw_field(s.features.vmap[(slice(None), *part)], cell, scale=scale)),
+        (
+            "Map: surface points, true pose",
+            ring(draw_surface(grid, features.surface, part), s.truth),
+        ),
+        ("bmap", draw_bmap(features.bmap, grid.info, part)),
+        ("Vector field", draw_field(features.vmap * here, grid.resolution, part)),
     ]
-    stacks = [
-        (caption, replace(stack, values=stack.values[(slice(None), *part)], grid=cut.info))
-        for caption, stack in s.stacks
-    ]
-    return _panels(panels, cut, here, s.points, stacks, scale)
+    return _panels(panels, replace(s, stacks=stacks), part)
 
 
-def _panels(
-    first: list[tuple[str, Image]], grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints,
-    stacks: Sequence[tuple[str, Likelihood]], scale: int,
-) -> Image:  # fmt: skip
+def _panels(first: list[tuple[str, Picture]], s: Scene, part: Part) -> Image:
     """The first panels, the scan as the fourth, the stacks."""
-    panels = [*first, *((caption, _likelihood(s, grid, truth, scale)) for caption, s in stacks)]
-    panels.insert(3, ("Scan with its normals", draw_scan(grid, truth, points, scale=scale)))
-    return mosaic(lettered(panels), columns=3)
+    panels = [*first, *((caption, _likelihood(stack, s, part)) for caption, stack in s.stacks)]
+    scan = draw_scan(s.features.grid, s.truth, s.points, part)
+    panels.insert(3, ("Scan with its normals", scan))
+    lettered = zip("abcdefghijkl", panels, strict=False)
+    return mosaic([framed(c, Pose2D(0, 0), f"({k}) {name}") for k, (name, c) in lettered], 3).image
 
 
-def draw_scan(
-    grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints, *, scale: int | None = None
-) -> Image:
+def draw_scan(grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints, part: Part) -> Picture:
     """Draw a scan (sensor frame) with its normals at its true pose (grid frame), on a pale map."""
     there = replace(points, xy=transform_points(truth, points.xy), alpha=points.alpha + truth.theta)
     # Walls are drawn as what is unknown, pale: the scan is what is to be seen.
     sheet = OccupancyGrid(np.zeros_like(grid.occupied), ~grid.occupied, grid.resolution)
-    return ring(draw_surface(sheet, there, scale=scale), grid.info, truth)
+    return ring(draw_surface(sheet, there, part), truth)
 
 
-def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Image:
+def _likelihood(stack: Likelihood, s: Scene, part: Part) -> Picture:
     """One method's panel: its likelihood, the true pose, the maximum if it is elsewhere."""
-    at = centre_of(np.array(global_maximum(stack.values, grid.free)[1:]), stack.grid.resolution)
-    panel = ring(draw_likelihood(stack, grid=grid, scale=scale), stack.grid, truth)
-    elsewhere = np.hypot(*(at - (truth.x, truth.y))) > _APART
-    return cross(panel, stack.grid, at) if elsewhere else panel
+    grid, row_column = s.features.grid, global_maximum(stack.values, s.features.grid.free)[1:]
+    at = centre_of(np.array(row_column), stack.grid.resolution)
+    panel = ring(draw_likelihood(stack, grid, part), s.truth)
+    return cross(panel, at) if np.hypot(*(at - (s.truth.x, s.truth.y))) > _APART else panel
 
 
-def ring(image: Image, info: GridInfo, pose: Pose2D) -> Image:
-    """Mark a pose (grid frame) of a lattice by a ring and a line along theta; returns `image`.
+def ring(canvas: Picture, pose: Pose2D) -> Picture:
+    """Mark a pose (grid frame) by a ring and a line along theta; returns `canvas`.
 
     It leaves visible what is in it.
     """
-    canvas = Canvas(image, image.shape[1] / (info.width * info.resolution))
     radius = 1.6 * marker_size(canvas) / canvas.px_per_m
     turn = np.linspace(0, 2 * np.pi, 49)
     circle = np.array((pose.x, pose.y)) + radius * np.column_stack((np.cos(turn), np.sin(turn)))
@@ -184,31 +175,13 @@ def ring(image: Image, info: GridInfo, pose: Pose2D) -> Image:
     for colour, thickness in ((PAPER, 5), (TRUTH, 2)):
         canvas.lines(circle[None], colour, thickness)
         canvas.lines(nose[None], colour, thickness)
-    return image
+    return canvas
 
 
-def cross(image: Image, info: GridInfo, xy: FloatArray) -> Image:
-    """Mark a position (2,), metres in the grid frame, by an oblique cross; returns `image`."""
-    canvas = Canvas(image, image.shape[1] / (info.width * info.resolution))
+def cross(canvas: Picture, xy: FloatArray) -> Picture:
+    """Mark a position (2,), metres in the grid frame, by an oblique cross; returns `canvas`."""
     arm = 0.8 * marker_size(canvas) / canvas.px_per_m
     strokes = np.stack([xy + np.outer((-arm, arm), turn) for turn in ((1, 1), (1, -1))])
     for colour, thickness in ((PAPER, 5), (_MAXIMUM, 2)):
         canvas.lines(strokes, colour, thickness)
-    return image
-
-
-def lettered(panels: Sequence[tuple[str, Image]]) -> list[tuple[str, Image]]:
-    """Put (a), (b), ... before the captions, and a thin frame on each panel.
-
-    Examples
-    --------
-    >>> one = np.zeros((1, 1, 3), np.uint8)
-    >>> [caption for caption, _ in lettered([("map", one), ("CBML", one)])]
-    ['(a) map', '(b) CBML']
-    """
-    out = []
-    for letter, (caption, picture) in zip("abcdefghijkl", panels, strict=False):
-        framed, (height, width) = picture.copy(), picture.shape[:2]
-        cv2.rectangle(framed, (0, 0), (width - 1, height - 1), _FRAME, 1)
-        out.append((f"({letter}) {caption}", framed))
-    return out
+    return canvas

@@ -42,7 +42,6 @@ def atlas(
     from imgloc.lab.picture import draw_atlas
     from imgloc.lab.tables import atlas_text
     from imgloc.model import plain, to_json
-    from imgloc.output.pictures import Picture
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     inputs.check_target(csv, ".csv", force=force)
@@ -71,7 +70,7 @@ def atlas(
         journal.close()
     spots = [Spot.of(row) for row in journal.rows]
     title = f"{map_name(map_path)}: is one scan enough? {len(spots):,} scans, {step:g} m apart"
-    picture = Picture(draw_atlas(found.grid, spots, step=step, headings=headings, title=title))
+    picture = draw_atlas(found.grid, spots, step=step, headings=headings, title=title)
     if csv is not None:
         write_text_atomic(csv, as_csv(journal.rows), force=force)
     picture.save(out, force=force)

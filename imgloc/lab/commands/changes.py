@@ -59,7 +59,6 @@ def changes(
     from imgloc.lab.located import Once, hints_of, open_some, placed
     from imgloc.lab.picture import draw_changes
     from imgloc.model import to_json
-    from imgloc.output.pictures import Picture
     from imgloc.runs.localize import Localize
 
     folder = inputs.kept_in(kept)
@@ -96,7 +95,7 @@ def changes(
     count = sum(part.given for part in parts)
     if out is not None:
         title = f"{map_name(map_path)}: changes by {found.seen.scans} scans with a sure pose"
-        Picture(draw_changes(found, title)).save(out, force=force)
+        draw_changes(found, title).save(out, force=force)
     if update is not None:
         save_map(update, found.mended, force=force)
     row: dict[str, Any] = {"map": display(map_path), "given": count, **found.as_row()}
