@@ -58,7 +58,8 @@ def prepare(
         Name of the map in error messages.
     ready : bool
         Compute now what an answer of the default method may use, so that the first answer takes
-        little longer than others. Without it each feature is computed when it is first used.
+        little longer than others; on large maps the first one that wants thinner walls takes 0.1 to
+        0.4 s longer. Without it each feature is computed when it is first used.
     **parameters
         Parameters of :class:`~imgloc.features.mapfeatures.MapFeatures`.
 

@@ -72,3 +72,12 @@ def test_too_large_a_stack_is_refused_with_its_size(features):
     with pytest.raises(ConfigError, match="8 directions x 24 x 30 cells"):
         _ = small.ray_distances
     assert dataclasses.replace(features, memory_budget=24 * 30 * 8 * 2).ray_distances.shape[0] == 8
+
+
+def test_thinner_walls_are_prepared_ahead_on_small_maps_alone(monkeypatch) -> None:
+    walls = np.zeros((30, 40), bool)
+    walls[5:9] = True
+    grid = OccupancyGrid(walls, ~walls, 0.1)
+    assert set(MapFeatures(grid).ready(2)._thinner) == {1, 2}
+    monkeypatch.setattr("imgloc.features.mapfeatures.AHEAD_CELLS", walls.size - 1)
+    assert not MapFeatures(grid).ready(2)._thinner

@@ -26,7 +26,7 @@ LEFT = {
     ),
     "what a type of numbers holds": (
         "_OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
-        " ALLOWED_ERROR _STEPS _MINUTE _erfc"
+        " ALLOWED_ERROR _STEPS _MINUTE _FAR _erfc"
     ),
     "a unit, a pattern, nothing at all": ("_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"),
     "a promise": "SCALES SHARES",

@@ -161,7 +161,8 @@ class _Trial:
             found.append(localize(self.features, scan, once if shared is None else quick))
             # Most trials are in vain, and searches again for what fits badly take the longest.
             lacks = found[-1].evidence.misfit - self.options.shared.usual
-            if shared is None and quick.fused.strained < lacks <= self.misfit:
+            hopeful = found[-1].verdict == "unique" or lacks <= self.misfit
+            if shared is None and hopeful and lacks > quick.fused.strained:
                 found[-1] = localize(self.features, scan, quick)
             if found[-1].verdict != "unique" and not most:
                 return []

@@ -158,11 +158,11 @@ def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None
     if it does not exist, for the user alone, and holds at most `limit` bytes, by default those of
     :func:`cache_limit`. Arrays of objects are refused.
     """
-    path, limit = entry_path(folder, key), min(_MOST, cache_limit() if limit is None else limit)
+    path, limit = entry_path(folder, key), cache_limit() if limit is None else limit
     temporary = path.with_name(f".imgloc-cache-{secrets.token_hex(8)}.tmp")
     content: dict[str, Any] = {"key": np.array(key)}
     content |= {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    if (size := sum(array.nbytes for array in content.values())) > limit:
+    if (size := sum(array.nbytes for array in content.values())) > min(limit, _MOST):
         LOG.info("%s: %d MiB are more than the cache may hold", display(path), size >> 20)
         return False
     try:

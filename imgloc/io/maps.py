@@ -241,7 +241,7 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
     sums, channels = channel_sum(upright[:, :, :3] if image.channels > 1 else upright)
     full = image.white * channels
     greys = np.round(np.arange(full + 1) * (255 / full))
-    ends = np.searchsorted(greys, np.arange(204, 208))  # a table of these sums takes five times
+    ends = np.searchsorted(greys, np.arange(204, 208)).tolist()  # comparing is faster than a table
     some, *beside = ((sums >= ends[k]) & (sums < ends[k + 1]) for k in (1, 0, 2))
     found = np.count_nonzero(some)
     if _MUCH * found <= sums.size or found <= _PEAK * max(map(np.count_nonzero, beside)):
@@ -478,9 +478,10 @@ def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
     values = np.ascontiguousarray(occupancy(image, settings)[::-1])
     # As in AMCL, 100 is a wall, 0 is free, and what lies between is unknown; but raw values are
     # occupancies in per cent, and the thresholds have not been spent on them.
-    low, high = 0.0, 100.0
+    low, high = 0, 100
     if settings.mode == "raw":
-        low, high = 100 * settings.free_thresh, 100 * settings.occupied_thresh
+        low = math.floor(100 * settings.free_thresh)
+        high = math.ceil(100 * settings.occupied_thresh)
     free = (values >= 0) & (values <= low)
     occupied = values >= high
     occupied.flags.writeable = free.flags.writeable = False  # nobody else has them: no copies

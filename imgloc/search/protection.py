@@ -26,6 +26,7 @@ SHARES: tuple[float, ...] = (0.95, 0.99, 0.999)
 """Probabilities for which an answer has a level."""
 _STEPS = np.geomspace(1e-3, 1e3, 400)  # metres, radians: a level is the next of these, 3.5 % apart
 _MINUTE = 1e-6  # mass of a mode that counts as elsewhere: a thousandth of what a level allows
+_FAR = 9.0  # standard deviations, beyond which a Gaussian has nothing left
 _erfc = np.frompyfunc(math.erfc, 1, 1)
 
 
@@ -53,7 +54,9 @@ class Spread:
         [1.0, 0.05]
         """
         if self.tail is None:
-            return np.asarray(_erfc(distance * math.sqrt(0.5)), dtype=np.float64)
+            out, some = np.asarray(distance == 0, np.float64), (distance > 0) & (distance < _FAR)
+            out[some] = _erfc(distance[some] * math.sqrt(0.5))  # slow: one by one
+            return out
         return np.asarray((1 + np.square(distance) / self.tail) ** (-self.tail / 2))
 
 
