@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from imgloc.io.images import ImageSize
     from imgloc.io.mapyaml import MapYaml
     from imgloc.model import Pose2D
-    from imgloc.plans.floorplan import FloorPlan
+    from imgloc.plans.building import FloorPlan
 else:
     Pose2D = Any
 

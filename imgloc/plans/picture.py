@@ -6,7 +6,7 @@ import numpy.typing as npt
 
 from imgloc.output.canvas import INK, PAPER, Colour, Image, legend, map_canvas
 from imgloc.output.pictures import Picture
-from imgloc.plans.floorplan import KINDS, FloorPlan
+from imgloc.plans.building import KINDS, FloorPlan
 
 _SIDE = 1400  # pixels of a panel at most
 # Of KINDS: paper, walls, then Okabe and Ito's colours.
