@@ -54,7 +54,7 @@ DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
 _NARROW: float = number("floorplan.narrow")
 _HOLLOW: float = number("floorplan.hollow")
 _OPEN: float = number("floorplan.open")
-_OTHER: float = number("floorplan.other")
+OTHER: float = number("floorplan.other")
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class FloorPlan:
         missed = "the building was most likely missed"
         if self.free_share < DOUBT[0]:
             what = f"{missed}: only {self.free_share:.0%} of the drawing became free"
-        elif self.other_area > _OTHER * self.free_area:
+        elif self.other_area > OTHER * self.free_area:
             what = (
                 f"walls enclose another {self.other_area:.0f} m2 elsewhere on the drawing, as a "
                 "second building or floor does; the map has the largest only"

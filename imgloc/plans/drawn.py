@@ -39,8 +39,6 @@ _SIZES = (3.0, 1000.0)  # metres that a floor may be long
 _ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
 _APART = 10.0  # metres between two drawings in one file, at least
 _FEW = 0.05  # of the strokes of the largest drawing, that another one has at least
-_JOINED = 0.3  # metres between two parts of a building at most
-_SMALL = 0.25  # of the largest floor, that another one has at least
 _COVERED = 0.15  # of the box around walls by their names, that they enclose: they are all walls
 _MORE = 2  # times as much has to be enclosed with lines that no name tells of
 _PILLARS = 2.0  # metres that a filled area may be wide, and still be a wall or a pillar
@@ -214,7 +212,8 @@ def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tu
 
     def agree(unit: float) -> int:
         fits = _SIZES[0] < span * unit < _SIZES[1]
-        return fits * int(np.count_nonzero(abs(np.log(widths * unit / 0.85)) < 0.44))
+        leaves = (widths * unit > _LEAVES[0]) & (widths * unit < _LEAVES[1])
+        return fits * int(np.count_nonzero(leaves))
 
     for unit, said in drawing.units:
         if agree(unit) >= 2 or (agree(unit) and len(doors) < 3):
@@ -383,7 +382,9 @@ class Floor:
     def has(self, door: Door) -> bool:
         """Return whether a door is in the building, or in a wall of it."""
         cell = self.sheet.pixel * self.sheet.parts
-        return self.sheet.on(door.closed, masks.grown(self.inside, round(_JOINED / cell)), cell)
+        return self.sheet.on(
+            door.closed, masks.grown(self.inside, round(building.GAPS[0] / cell)), cell
+        )
 
 
 def _floors(
@@ -401,7 +402,9 @@ def _floors(
         floors += _floors_of(some, leaves, unit, cell, thickest, gap, named=named)
     floors.sort(key=lambda f: -f.area)
     doors = any(len(f.leaves) > 1 for f in floors)
-    return [f for f in floors if f.area > _SMALL * floors[0].area and (f.leaves or not doors)]
+    return [
+        f for f in floors if f.area > building.OTHER * floors[0].area and (f.leaves or not doors)
+    ]
 
 
 def _floors_of(
@@ -431,12 +434,12 @@ def _floors_of(
         )
         walls = pair[0] | pair[1]
     taken = masks.coarser(walls | shut, parts) > 0
-    labels, stats = masks.pieces(masks.grown(taken, max(1, round(_JOINED / cell))))
+    labels, stats = masks.pieces(masks.grown(taken, max(1, round(building.GAPS[0] / cell))))
     floors = list[Floor]()
     spans = masks.spans(stats)
     for k in np.argsort(-spans, kind="stable").tolist():
         most = max((f.area for f in floors), default=0)
-        if spans[k] <= max(building.LEAST / cell**2, _SMALL * most):
+        if spans[k] <= max(building.LEAST / cell**2, building.OTHER * most):
             break
         x, y, wide, high = stats[k, :4].tolist()
         here = slice(y, y + high), slice(x, x + wide)

@@ -35,11 +35,14 @@ _MARGIN = number("floorplan.margin")
 _BORDER = number("floorplan.border")
 _LIGHTER = number("floorplan.lighter")
 _THICKER = number("floorplan.thicker")
-_LENGTH = number("floorplan.length")
+_LENGTH: float = number("floorplan.length")
+_STRIP: float = number("floorplan.strip")
+_CELLS: int = number("floorplan.cells")
+_LITTLE: float = number("floorplan.little")
+_ROOM: float = number("floorplan.room")
 _STRAIGHT = number("floorplan.straight")
 _FAINT = number("floorplan.faint")
 _LIGHT = np.array(number("floorplan.light"))
-_PARTITION = number("floorplan.partition")
 _BOLD = number("floorplan.bold")
 _LINES = number("floorplan.lines")
 _BOLDEST = number("floorplan.boldest")
@@ -47,11 +50,7 @@ _DENSE = number("floorplan.dense")
 _ACROSS = number("floorplan.across")
 _SOFT = number("floorplan.soft")
 _THINNER = number("floorplan.thinner")
-_STRIP = number("floorplan.strip")
-_CELLS = number("floorplan.cells")
 _HATCHED = number("floorplan.hatched")
-_LITTLE = number("floorplan.little")
-_ROOM = number("floorplan.room")
 _CORNERS = number("floorplan.corners")
 _WINDOW = number("floorplan.window")
 _LETTER = number("floorplan.letter")
@@ -62,7 +61,6 @@ _LEAF_THICK = number("floorplan.leaf_thick")
 _QUARTER = number("floorplan.quarter")
 _HOLE = number("floorplan.hole")
 _TRIALS = number("floorplan.trials")
-_POINTS = number("floorplan.points")
 _SHADES = number("floorplan.shades")
 _TONES = number("floorplan.tones")
 _FLAT = number("floorplan.flat")
@@ -107,7 +105,7 @@ def plan_to_map(
     *,
     origin: Pose2D | None = None,
     cell: float | None = None,
-    thinnest: float = building.THINNEST,
+    thinnest: float | None = None,
     thickest: float | None = None,
     gap: float | None = None,
     ink: float | None = None,
@@ -126,9 +124,9 @@ def plan_to_map(
         Pose of the plan's lower-left corner in the map frame; default (0, 0, 0).
     cell : float, optional
         Side of a cell of the map, metres; default 0.05, or a pixel if that is larger.
-    thinnest : float
-        Least thickness of walls, metres: thinner ink is a line. Where such walls enclose nothing,
-        or little of the drawing, thinner ones are looked for.
+    thinnest : float, optional
+        Least thickness of walls, metres, default 0.07: thinner ink is a line. Where such walls
+        enclose nothing, or little of the drawing, thinner ones are looked for.
     thickest : float, optional
         Greatest distance between the two lines of a wall, metres: a wider gap is a room. Default:
         the first of 0.5, 0.7 and 0.95 with which walls enclose about as much as with any.
@@ -166,6 +164,7 @@ def plan_to_map(
     (1, [6.8, 4.4, 0.2])
     """
     expect(grey, np.ndarray, "grey")
+    thinnest = building.THINNEST if thinnest is None else thinnest
     _check(resolution, cell, thinnest, thickest, gap, ink)
     refuse_recorded(grey)
     grey, inverted = _evened(grey, resolution, inverted)
@@ -176,7 +175,7 @@ def plan_to_map(
     pixel = cell / parts
     pen = _pen(bold, 2 * _LETTER / pixel) * pixel
     thin = max(thinnest, min(max(_BOLD * pen, _LINES * resolution), _BOLDEST))
-    partition = max(thinnest, _PARTITION * resolution)
+    partition = max(thinnest, _SOFT * resolution)
     tried = (thickest,) if thickest is not None else building.THICKEST
     between, frame = _lined(drawn, bold, resolution, tried, thin, parts, pixel, gap, advance)
     found = _enclosing(drawn, bold, frame, between, thin, partition, parts, pixel, gap, advance)
@@ -511,7 +510,7 @@ def _arc(
     ok = (radius > _LEAF[0] / pixel) & (radius < _LEAF[1] / pixel)
     ok &= _at(to_wall, centre) < _HANGS / pixel
     radius, centre = radius[ok], centre[ok]
-    some = points[rng.permutation(len(points))[:_POINTS]]
+    some = points[rng.permutation(len(points))[:_TRIALS]]
     away = np.hypot(*(some[None] - centre[:, None]).transpose(2, 0, 1)) - radius[:, None]
     order = np.argsort(-np.count_nonzero(np.abs(away) < 1.5, axis=1), kind="stable")
     for k in order[:10].tolist():
