@@ -74,8 +74,8 @@ from .output.pictures import draw as draw
 from .pipeline import localize as localize
 from .pipeline import localize_many as localize_many
 from .pipeline import prepare as prepare
+from .plans.building import FloorPlan as FloorPlan
 from .plans.files import load_plan as load_plan
-from .plans.floorplan import FloorPlan as FloorPlan
 from .plans.floorplan import plan_to_map as plan_to_map
 from .robot.frames import Frames as Frames
 from .robot.odometry import Odometry as Odometry

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from imgloc.io.images import ImageSize
     from imgloc.io.mapyaml import MapYaml
     from imgloc.model import Pose2D
-    from imgloc.plans.floorplan import FloorPlan
+    from imgloc.plans.building import FloorPlan
 else:
     Pose2D = Any
 
@@ -34,8 +34,10 @@ class Drawing:
     cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
         None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
     )
-    thinnest: Annotated[float, Within(0.005, 3, "metres")] = option(
-        0.07, "Least thickness of a wall, metres: thinner strokes are no walls."
+    thinnest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
+        None,
+        "Least thickness of a wall on an image, metres: thinner strokes are no walls. [default: "
+        "0.07]",
     )
     thickest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
         None,
@@ -47,7 +49,7 @@ class Drawing:
     )
     ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
         None,
-        "Darkness, against the paper around it, from which a pixel of the plan is ink. [default: "
+        "Darkness, against the paper around it, from which a pixel of an image is ink. [default: "
         "found]",
     )
 
@@ -138,8 +140,15 @@ def plan(
         origin = beside.origin if origin is None else origin
         if resolution is None and distance is None:
             resolution = beside.resolution
+    is_drawn = path.suffix.lower() in READERS
+    other = {"doors": doors != "open", "walls": walls, "furniture": furniture}
+    if is_drawn:
+        other = vars(drawing) | {"memory-budget": memory_budget, "cell": 0, "thickest": 0, "gap": 0}
+    for word in (word for word, value in other.items() if value):
+        kind = "an image" if is_drawn else "a drawing: DXF, SVG or PDF"
+        raise ConfigError(f"--{word}: {name} is none that has it, expected {kind}; leave it out")
     try:
-        if path.suffix.lower() in READERS:
+        if is_drawn:
             floors = _drawn(path, resolution, distance, origin, drawing, doors, walls, furniture)
             greys = [255 - 255 * (f.kinds > 0).astype("uint8") for f in floors]
         else:

@@ -14,44 +14,22 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from skimage.morphology import skeletonize
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.distance import distance_transform
 from imgloc.geometry import rotation
 from imgloc.model import BoolArray, FloatArray, IntArray, Pose2D
-from imgloc.plans.floorplan import (
-    _HATCH,
-    _LEAST,
-    _LINE,
-    _MOST,
-    _OUTSIDE,
-    _PARTS,
-    _SWING,
-    _SYMBOL,
-    _TEXT,
-    _WALL,
-    CELL,
-    THICKEST,
-    THINNEST,
-    FloorPlan,
-    _as_grid,
-    _coarser,
-    _counted,
-    _depth,
-    _finer,
-    _greatest,
-    _grown,
-    _inside,
-    _opened,
-    _pieces,
-    _spans,
-    _standing,
-    _touching,
-)
+from imgloc.plans import building, masks
+from imgloc.plans.building import FloorPlan, Kind
 from imgloc.plans.vectors import NAMES, Drawing, Stroke
 
-_KIND = {"": _LINE, "note": _TEXT, "stairs": _HATCH, "thing": _SYMBOL, "door": _SWING}
+_KIND = {
+    "": Kind.LINE,
+    "note": Kind.TEXT,
+    "stairs": Kind.HATCH,
+    "thing": Kind.SYMBOL,
+    "door": Kind.SWING,
+}
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
 _HANGS = 0.15  # of its width, that a leaf may end beside its hinge or its swing
 _SHARP = np.cos(np.deg2rad(26))  # a larger turn is a corner, and not a part of an arc
@@ -61,8 +39,6 @@ _SIZES = (3.0, 1000.0)  # metres that a floor may be long
 _ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
 _APART = 10.0  # metres between two drawings in one file, at least
 _FEW = 0.05  # of the strokes of the largest drawing, that another one has at least
-_JOINED = 0.3  # metres between two parts of a building at most
-_SMALL = 0.25  # of the largest floor, that another one has at least
 _COVERED = 0.15  # of the box around walls by their names, that they enclose: they are all walls
 _MORE = 2  # times as much has to be enclosed with lines that no name tells of
 _PILLARS = 2.0  # metres that a filled area may be wide, and still be a wall or a pillar
@@ -236,7 +212,8 @@ def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tu
 
     def agree(unit: float) -> int:
         fits = _SIZES[0] < span * unit < _SIZES[1]
-        return fits * int(np.count_nonzero(abs(np.log(widths * unit / 0.85)) < 0.44))
+        leaves = (widths * unit > _LEAVES[0]) & (widths * unit < _LEAVES[1])
+        return fits * int(np.count_nonzero(leaves))
 
     for unit, said in drawing.units:
         if agree(unit) >= 2 or (agree(unit) and len(doors) < 3):
@@ -295,8 +272,11 @@ class Sheet:
         if some:
             cv2.fillPoly(out, some, 1, cv2.LINE_8, _BITS)
         # What is wider than any pillar is paper, or the colour of a floor.
-        labels, stats = _pieces(out > 0)
-        pillar = 2 * self.pixel * _greatest(_depth(out > 0), labels, out > 0, len(stats)) < _PILLARS
+        labels, stats = masks.pieces(out > 0)
+        pillar = (
+            2 * self.pixel * masks.greatest(masks.depth(out > 0), labels, out > 0, len(stats))
+            < _PILLARS
+        )
         return np.asarray((out > 0) & pillar[labels])
 
     def on(self, point: FloatArray, cells: BoolArray, cell: float) -> bool:
@@ -312,7 +292,7 @@ def drawing_to_maps(
     doors: str = "open", walls: Sequence[str] = (), furniture: bool = False,
 ) -> list[FloorPlan]:  # fmt: skip
     """Make a map of each floor of a drawing, the largest first."""
-    cell = CELL if cell is None else cell
+    cell = building.CELL if cell is None else cell
     roles = _roles(drawing.strokes, walls)
     leaves = doors_of(drawing.strokes, roles)
     unit, said = (resolution, "as given") if resolution else unit_of(drawing, leaves, roles)
@@ -341,9 +321,7 @@ def drawing_to_maps(
         )
     lost = sum(not any(f.has(d) for f in best) for d in leaves)
     plans = [
-        _finished(
-            f, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture
-        )
+        _map_of(f, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture)
         for f in best
     ]
     return [replace(plans[0], lost_doors=lost), *plans[1:]]
@@ -404,7 +382,9 @@ class Floor:
     def has(self, door: Door) -> bool:
         """Return whether a door is in the building, or in a wall of it."""
         cell = self.sheet.pixel * self.sheet.parts
-        return self.sheet.on(door.closed, _grown(self.inside, round(_JOINED / cell)), cell)
+        return self.sheet.on(
+            door.closed, masks.grown(self.inside, round(building.GAPS[0] / cell)), cell
+        )
 
 
 def _floors(
@@ -422,7 +402,9 @@ def _floors(
         floors += _floors_of(some, leaves, unit, cell, thickest, gap, named=named)
     floors.sort(key=lambda f: -f.area)
     doors = any(len(f.leaves) > 1 for f in floors)
-    return [f for f in floors if f.area > _SMALL * floors[0].area and (f.leaves or not doors)]
+    return [
+        f for f in floors if f.area > building.OTHER * floors[0].area and (f.leaves or not doors)
+    ]
 
 
 def _floors_of(
@@ -433,35 +415,39 @@ def _floors_of(
     points = np.concatenate([s.points for s in strokes]) * unit
     low, high = np.floor((points.min(axis=0) - 1) / cell) * cell, points.max(axis=0) + 1
     size = np.ceil((high - low)[::-1] / cell).astype(int)
-    parts = next((p for p in _PARTS if np.prod(size * p) <= _MOST / 2), 1)
-    if np.prod(size) > _MOST:
+    parts = next((p for p in building.PARTS if np.prod(size * p) <= building.MOST_PIXELS / 2), 1)
+    if np.prod(size) > building.MOST_PIXELS:
         raise MapError(
             f"it is {size[1] * cell:.0f} x {size[0] * cell:.0f} m at {unit:g} metres a unit, more "
             "than its map may have; a larger `cell`, or another `resolution`"
         )
     sheet = Sheet(low, cell / parts, parts, tuple((size * parts).tolist()), unit)
     drawn = sheet.lines(strokes)
-    solid = sheet.areas(strokes) | sheet.lines(s for s in strokes if s.wide * unit >= THINNEST)
+    solid = sheet.areas(strokes) | sheet.lines(
+        s for s in strokes if s.wide * unit >= building.THINNEST
+    )
     shut = sheet.lines(Stroke(np.array([d.hinge, d.closed]), "") for d in leaves)
     walls = _bodies(drawn | solid, sheet.pixel, thickest, named=named)
     if not named:  # lines are walls only beside what is between two of them
-        standing = _standing(_opened(walls, max(3.0, THINNEST / sheet.pixel)), drawn, sheet.pixel)
-        walls = standing[0] | standing[1]
-    taken = _coarser(walls | shut, parts) > 0
-    labels, stats = _pieces(_grown(taken, max(1, round(_JOINED / cell))))
+        pair = building.standing(
+            masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel)), drawn, sheet.pixel
+        )
+        walls = pair[0] | pair[1]
+    taken = masks.coarser(walls | shut, parts) > 0
+    labels, stats = masks.pieces(masks.grown(taken, max(1, round(building.GAPS[0] / cell))))
     floors = list[Floor]()
-    spans = _spans(stats)
+    spans = masks.spans(stats)
     for k in np.argsort(-spans, kind="stable").tolist():
         most = max((f.area for f in floors), default=0)
-        if spans[k] <= max(_LEAST / cell**2, _SMALL * most):
+        if spans[k] <= max(building.LEAST / cell**2, building.OTHER * most):
             break
         x, y, wide, high = stats[k, :4].tolist()
         here = slice(y, y + high), slice(x, x + wide)
         inside = np.zeros_like(taken)
-        inside[here], closed = _inside((taken & (labels == k))[here], cell, gap)
-        if np.count_nonzero(inside) * cell**2 > _LEAST:
-            own = _touching(walls, _finer(inside, parts))
-            doors = (_coarser(shut & ~walls, parts) > 0) & _grown(inside, 1)
+        inside[here], closed = building.inside_of((taken & (labels == k))[here], cell, gap)
+        if np.count_nonzero(inside) * cell**2 > building.LEAST:
+            own = building.touching(walls, masks.finer(inside, parts))
+            doors = (masks.coarser(shut & ~walls, parts) > 0) & masks.grown(inside, 1)
             hung = [d for d in leaves if sheet.on(d.closed, labels == k, cell)]
             floors.append(Floor(sheet, own, shut, hung, inside | doors, closed, not named))
     return floors
@@ -470,33 +456,35 @@ def _floors_of(
 def _bodies(drawn: BoolArray, pixel: float, thickest: float | None, *, named: bool) -> BoolArray:
     """The lines of walls, and what is between them: nowhere wider than a wall, or a dead end."""
     free = ~drawn
-    depth = _depth(free)
-    labels, stats = _pieces(free, 4)
-    most = thickest or THICKEST[-1 if named else 0]
-    thin = 2 * pixel * _greatest(depth, labels, free, len(stats)) <= most
+    depth = masks.depth(free)
+    labels, stats = masks.pieces(free, 4)
+    most = thickest or building.THICKEST[-1 if named else 0]
+    thin = 2 * pixel * masks.greatest(depth, labels, free, len(stats)) <= most
     thin[0] = False
     out = drawn | thin[labels]
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    for most, least in zip(THICKEST if thickest is None else (thickest,), _BODY, strict=False):
+    for most, least in zip(
+        building.THICKEST if thickest is None else (thickest,), _BODY, strict=False
+    ):
         radius = most / 2 / pixel
         wide = distance_transform((depth <= radius).astype(np.uint8)) <= radius
         for _ in range(round(0.7 * radius)):  # into corners, and no line is crossed
             wide = (cv2.dilate(wide.astype(np.uint8), cross) > 0) & free
-        pieces, found = _pieces(free & ~wide, 4)
+        pieces, found = masks.pieces(free & ~wide, 4)
         large = found[:, cv2.CC_STAT_AREA] > least / pixel**2
         large[0] = False
         out |= large[pieces]
     return out
 
 
-def _finished(
+def _map_of(
     floor: Floor, strokes: Sequence[Stroke], roles: Sequence[str], origin: Pose2D, doors: str,
     said: str, *, furniture: bool,
 ) -> FloorPlan:  # fmt: skip
     """The map of a floor, and what each pixel around it was taken for."""
     sheet, cell = floor.sheet, floor.sheet.pixel * floor.sheet.parts
     x, y, wide, high = cv2.boundingRect(
-        (_finer(floor.inside, sheet.parts) | floor.walls).astype(np.uint8)
+        (masks.finer(floor.inside, sheet.parts) | floor.walls).astype(np.uint8)
     )
     pad = round(_AROUND / cell)
     n = sheet.parts
@@ -511,41 +499,22 @@ def _finished(
     for role, kind in _KIND.items():
         kinds[sheet.lines(s for s, r in zip(strokes, roles, strict=True) if r == role)] = kind
     kinds = kinds[fine]
-    kinds[(kinds > 0) & ~_grown(_finer(inside, n), 2)] = _OUTSIDE
-    kinds[walls] = _WALL
-    _, _, width, height = cv2.boundingRect(walls.astype(np.uint8))
-    middle = skeletonize(walls)
-    through = (2 * _depth(walls)[middle] - 0.5) * sheet.pixel
-    low, median, top = np.percentile(through, (5, 50, 95)).tolist()
+    kinds[(kinds > 0) & ~masks.grown(masks.finer(inside, n), 2)] = Kind.OUTSIDE
+    kinds[walls] = Kind.WALL
     at = sheet.corner + np.array((columns.start, rows.start)) * cell
     at = rotation(origin.theta) @ at
     corner = Pose2D(origin.x + at[0], origin.y + at[1], origin.theta)
-    solid, within = walls.copy(), _finer(inside, n)
+    more, within = np.zeros_like(walls), masks.finer(inside, n)
     if doors == "closed":
-        solid |= shut & within
+        more |= shut & within
     if furniture:
-        solid |= (kinds == _SYMBOL) & within
-    hidden = _grown(shut, round(0.1 / sheet.pixel)) & ~walls if doors == "unknown" else None
-    grid = _as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden)
-    apart = inside & ~_grown(_coarser(walls | shut, n) > 0, 1)
-    rooms = _pieces(apart, 4)[1][1:, cv2.CC_STAT_AREA] * cell**2
-    return FloorPlan(
-        grid=grid,
-        kinds=kinds,
-        pixel=sheet.pixel,
-        size=(width * sheet.pixel, height * sheet.pixel),
-        walls=len(_pieces(walls)[1]) - 1,
-        length=len(through) * sheet.pixel,
-        thickness=(low, median, top),
-        doors=tuple(sorted(d.width * sheet.unit for d in floor.leaves)),
-        removed=_counted(kinds, len(floor.leaves), sheet.pixel),
-        gap=floor.gap,
-        thinnest=sheet.pixel,
-        thickest=THICKEST[-1],
-        inverted=False,
-        framed_area=0.0,
-        other_area=0.0,
-        rooms=int(np.count_nonzero(rooms > _ROOM)),
-        scale=(sheet.unit, said),
-        guessed=floor.guessed,
-    )
+        more |= (kinds == Kind.SYMBOL) & within
+    hidden = masks.grown(shut, round(0.1 / sheet.pixel)) & ~walls if doors == "unknown" else None
+    apart = inside & ~masks.grown(masks.coarser(walls | shut, n) > 0, 1)
+    rooms = masks.pieces(apart, 4)[1][1:, cv2.CC_STAT_AREA] * cell**2
+    return building.finished(
+        walls, inside, kinds, cell, corner, [d.width * sheet.unit for d in floor.leaves],
+        more, hidden,
+        gap=floor.gap, thinnest=sheet.pixel, thickest=building.THICKEST[-1],
+        rooms=int(np.count_nonzero(rooms > _ROOM)), scale=(sheet.unit, said), guessed=floor.guessed,
+    )  # fmt: skip

@@ -7,44 +7,21 @@ pen. The rest a laser never meets, or not where it is drawn: it is neither wall 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from skimage.filters import threshold_otsu
-from skimage.measure import label
-from skimage.morphology import disk, skeletonize
+from skimage.morphology import skeletonize
 
 from imgloc.errors import ConfigError, MapError, expect
 from imgloc.features.distance import distance_transform
-from imgloc.geometry import rotation
-from imgloc.model import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-    OccupancyGrid,
-    Pose2D,
-    plain,
-)
+from imgloc.model import BoolArray, Float32Array, FloatArray, Pose2D
 from imgloc.numbers import number
+from imgloc.plans import building, masks
+from imgloc.plans.building import FloorPlan, Kind
 
-#: metres of a cell of the map, unless a pixel of the plan is larger
-CELL: float = number("floorplan.cell")
-THINNEST: float = number("floorplan.thinnest")  #: metres that walls are thick at least
-#: metres that walls drawn as two lines are thick at most, the first that encloses the building
-THICKEST: tuple[float, ...] = tuple(number("floorplan.thickest"))
-KINDS = (
-    "paper", "walls", "door swings", "text", "furniture and symbols", "stairs and hatching",
-    "thin lines", "outside the building", "a frame round the sheet",
-)  # fmt: skip
-"""What a pixel of a plan may be, by its number in :attr:`FloorPlan.kinds`."""
-_WALL, _SWING, _TEXT, _SYMBOL, _HATCH, _LINE, _OUTSIDE, _FRAME = range(1, len(KINDS))
-
-_PARTS, _MOST = (4, 3, 2, 1), 16_000_000  # pixels along a cell, the finest of at most so many
 _BYTES = 60  # of each such pixel, at the peak
 # What a plan looks like; numbers.json says of each what it is.
 _PAPER = number("floorplan.paper")
@@ -58,11 +35,14 @@ _MARGIN = number("floorplan.margin")
 _BORDER = number("floorplan.border")
 _LIGHTER = number("floorplan.lighter")
 _THICKER = number("floorplan.thicker")
-_LENGTH = number("floorplan.length")
+_LENGTH: float = number("floorplan.length")
+_STRIP: float = number("floorplan.strip")
+_CELLS: int = number("floorplan.cells")
+_LITTLE: float = number("floorplan.little")
+_ROOM: float = number("floorplan.room")
 _STRAIGHT = number("floorplan.straight")
 _FAINT = number("floorplan.faint")
 _LIGHT = np.array(number("floorplan.light"))
-_PARTITION = number("floorplan.partition")
 _BOLD = number("floorplan.bold")
 _LINES = number("floorplan.lines")
 _BOLDEST = number("floorplan.boldest")
@@ -70,18 +50,7 @@ _DENSE = number("floorplan.dense")
 _ACROSS = number("floorplan.across")
 _SOFT = number("floorplan.soft")
 _THINNER = number("floorplan.thinner")
-_GAPS = number("floorplan.gaps")
-_ENOUGH = number("floorplan.enough")
-_APART = number("floorplan.apart")
-_LEAST = number("floorplan.least")
-_STRIP = number("floorplan.strip")
-_CELLS = number("floorplan.cells")
 _HATCHED = number("floorplan.hatched")
-_LITTLE = number("floorplan.little")
-_ROOM = number("floorplan.room")
-_PIECE = number("floorplan.piece")
-_CUT = number("floorplan.cut")
-_PILLAR = number("floorplan.pillar")
 _CORNERS = number("floorplan.corners")
 _WINDOW = number("floorplan.window")
 _LETTER = number("floorplan.letter")
@@ -92,190 +61,10 @@ _LEAF_THICK = number("floorplan.leaf_thick")
 _QUARTER = number("floorplan.quarter")
 _HOLE = number("floorplan.hole")
 _TRIALS = number("floorplan.trials")
-_POINTS = number("floorplan.points")
-_SPECK = number("floorplan.speck")
 _SHADES = number("floorplan.shades")
 _TONES = number("floorplan.tones")
 _FLAT = number("floorplan.flat")
-# Without a doubt: least share of the drawing that is free, greatest share of the ink that is
-# outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
-_DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
-_NARROW = number("floorplan.narrow")
-_HOLLOW = number("floorplan.hollow")
-_OPEN = number("floorplan.open")
-_OTHER = number("floorplan.other")
-STEPS = 1 + len(THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
-
-
-@dataclass(frozen=True)
-class Removed:
-    """What of one kind was taken from a plan."""
-
-    kind: str  #: of :data:`KINDS`
-    count: int  #: connected pieces
-    area: float  #: of their ink, square metres
-
-
-@dataclass(frozen=True, eq=False)
-class FloorPlan:
-    """What :func:`plan_to_map` made of a plan."""
-
-    grid: OccupancyGrid  #: the map: walls occupied, rooms free, all around the building unknown
-    #: (H, W) uint8: what each pixel was taken for, an index of :data:`KINDS`; row 0 is the lowest
-    #: y, its first corner that of the plan
-    kinds: npt.NDArray[np.uint8]
-    pixel: float  #: side of a pixel of `kinds`, metres
-    size: tuple[float, float]  #: width and height of the building, metres
-    walls: int  #: connected pieces of wall
-    length: float  #: of their middle lines together, metres
-    #: of walls, metres: 5 % of their length are thinner, and 5 % thicker, than the first and last;
-    #: the second is the median
-    thickness: tuple[float, float, float]
-    doors: tuple[float, ...]  #: widths of the leaves whose swings were found, metres
-    removed: tuple[Removed, ...]  #: by kind, in the order of :data:`KINDS`
-    gap: float  #: openings in the outer walls up to so wide count as closed, metres
-    thinnest: float  #: what is thinner was no wall, metres
-    thickest: float  #: lines farther apart were no wall, metres
-    inverted: bool  #: the plan was light on dark
-    #: what walls enclose by themselves within an outer rectangle, as the frame of a sheet is,
-    #: square metres; 0 without such a rectangle
-    framed_area: float
-    #: what walls enclose elsewhere on the drawing, the largest such space, square metres
-    other_area: float
-    rooms: int | None = None  #: with closed doors, if the drawing tells which are doors
-    scale: tuple[float, str] = (0.0, "")  #: metres a unit of the drawing, and how that was found
-    guessed: bool = False  #: no name of a layer told which lines of the drawing are walls
-    lost_doors: int = 0  #: doors of the drawing that are in none of its maps
-
-    @property
-    def free_area(self) -> float:
-        """Of the map, square metres."""
-        return float(np.count_nonzero(self.grid.free)) * self.grid.resolution**2
-
-    @property
-    def free_share(self) -> float:
-        """Share of the drawing, 0..1, that became free: of the box around all that is drawn."""
-        span = _span((self.kinds > 0) & (self.kinds != _FRAME))
-        return self.free_area / (max(1, span) * self.pixel**2)
-
-    @property
-    def outside_share(self) -> float:
-        """Share of the ink, 0..1, that lies outside of the building; a frame does not count."""
-        ink = int(np.count_nonzero((self.kinds > 0) & (self.kinds != _FRAME)))
-        return float(np.count_nonzero(self.kinds == _OUTSIDE)) / max(1, ink)
-
-    @cached_property
-    def gaps_share(self) -> float:
-        """Share of the faces of walls, 0..1, that look into gaps in which no robot fits.
-
-        Spaces without a door that are nowhere wider than a wall may be are such gaps, too.
-        """
-        free, radius = self.grid.free, _NARROW / 2 / self.grid.resolution
-        depth = _depth(free)
-        wide = distance_transform((depth <= radius).astype(np.uint8)) <= radius + 0.5
-        labels, stats = _pieces(free, 4)
-        rooms = _met(labels, len(stats), free & (depth > _HOLLOW / 2 / self.grid.resolution))
-        wide &= rooms[labels]
-        faces = self.grid.occupied & _beside(free)
-        into = int(np.count_nonzero(faces & ~_beside(free & wide)))
-        return into / max(1, int(np.count_nonzero(faces)))
-
-    @cached_property
-    def roomless_share(self) -> float:
-        """Share of the walls, 0..1, with nothing free as near as the thickest wall is thick."""
-        away = distance_transform((~self.grid.free).astype(np.uint8)) * self.grid.resolution
-        without = int(np.count_nonzero(self.grid.occupied & (away > THICKEST[-1])))
-        return without / max(1, int(np.count_nonzero(self.grid.occupied)))
-
-    @cached_property
-    def largest_share(self) -> float:
-        """Share of the free area, 0..1, of the largest part that a robot can drive through."""
-        areas = _pieces(self.grid.free, 4)[1][1:, cv2.CC_STAT_AREA]
-        return float(areas.max(initial=0)) / max(1, int(areas.sum()))
-
-    @property
-    def doubt(self) -> str:
-        """Why the map is most likely wrong; empty if nothing says so."""
-        missed = "the building was most likely missed"
-        if self.free_share < _DOUBT[0]:
-            what = f"{missed}: only {self.free_share:.0%} of the drawing became free"
-        elif self.other_area > _OTHER * self.free_area:
-            what = (
-                f"walls enclose another {self.other_area:.0f} m2 elsewhere on the drawing, as a "
-                "second building or floor does; the map has the largest only"
-            )
-        elif self.outside_share > _DOUBT[1]:
-            what = f"{missed}: {self.outside_share:.0%} of the ink lies outside of what was found"
-        elif self.framed_area > 0:
-            what = (
-                f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as "
-                "the frame of a sheet does"
-            )
-        elif self.largest_share < _OPEN:
-            what = (
-                "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
-                f"closed: no part without a wall across it has more than {self.largest_share:.0%} "
-                "of the free area"
-            )
-        elif not self.scale[1] and self.roomless_share > _DOUBT[3]:
-            what = (
-                "a part of the building was most likely cut off: "
-                f"{self.roomless_share:.0%} of the walls have no room beside them"
-            )
-        elif self.gaps_share > _DOUBT[2]:
-            what = (
-                f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
-                f"gaps less than {_NARROW:g} m wide, or into spaces less than {_HOLLOW:g} m wide "
-                "without a door, as the two lines of a wall do, its hatching, or furniture"
-            )
-        elif self.lost_doors:
-            what = (
-                "a part of the building was most likely cut off: leaves of doors outside of what "
-                f"was found: {self.lost_doors}"
-            )
-        elif self.guessed:
-            what = (
-                "no name of a layer tells what is a wall, so furniture may be part of walls; "
-                "`walls` names the layers"
-            )
-        else:
-            return ""
-        return (
-            f"{what}. Look at `picture`; a larger `thickest` is for walls drawn as two lines, a "
-            "larger `gap` for wide doors; crop frames, titles and legends; is the resolution right?"
-        )
-
-    def as_row(self) -> dict[str, Any]:
-        """What was found, as `imgloc map plan --json` writes it."""
-        low, median, high = self.thickness
-        return {
-            "size": dict(zip(("width", "height"), self.size, strict=True)),
-            "walls": {
-                "pieces": self.walls,
-                "length": self.length,
-                "thickness": {"low": low, "median": median, "high": high},
-            },
-            "doors": self.doors,
-            "rooms": self.rooms,
-            "scale": self.scale[1] or None,
-            "removed": [asdict(removed) for removed in self.removed],
-            "free_area": self.free_area,
-            "free_share": self.free_share,
-            "outside_share": self.outside_share,
-            "framed_area": self.framed_area,
-            "other_area": self.other_area,
-            "largest_share": self.largest_share,
-            "roomless_share": self.roomless_share,
-            "gaps_share": self.gaps_share,
-            "doubt": self.doubt or None,
-            "gap": self.gap,
-            "thinnest": self.thinnest,
-            "thickest": self.thickest,
-            "inverted": self.inverted,
-            "cell": self.grid.resolution,
-            "cells": dict(zip(("height", "width"), self.grid.info.shape, strict=True)),
-            "origin": plain(self.grid.origin),
-        }
+STEPS = 1 + len(building.THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +105,7 @@ def plan_to_map(
     *,
     origin: Pose2D | None = None,
     cell: float | None = None,
-    thinnest: float = THINNEST,
+    thinnest: float | None = None,
     thickest: float | None = None,
     gap: float | None = None,
     ink: float | None = None,
@@ -334,13 +123,13 @@ def plan_to_map(
     origin : Pose2D, optional
         Pose of the plan's lower-left corner in the map frame; default (0, 0, 0).
     cell : float, optional
-        Side of a cell of the map, metres; default :data:`CELL`, or a pixel if that is larger.
-    thinnest : float
-        Least thickness of walls, metres: thinner ink is a line. Where such walls enclose nothing,
-        or little of the drawing, thinner ones are looked for.
+        Side of a cell of the map, metres; default 0.05, or a pixel if that is larger.
+    thinnest : float, optional
+        Least thickness of walls, metres, default 0.07: thinner ink is a line. Where such walls
+        enclose nothing, or little of the drawing, thinner ones are looked for.
     thickest : float, optional
         Greatest distance between the two lines of a wall, metres: a wider gap is a room. Default:
-        the first of :data:`THICKEST` with which walls enclose about as much as with any.
+        the first of 0.5, 0.7 and 0.95 with which walls enclose about as much as with any.
     gap : float, optional
         Openings in the outer walls up to this width, metres, count as closed while the inside is
         found; default: as wide as the plan needs.
@@ -375,45 +164,31 @@ def plan_to_map(
     (1, [6.8, 4.4, 0.2])
     """
     expect(grey, np.ndarray, "grey")
+    thinnest = building.THINNEST if thinnest is None else thinnest
     _check(resolution, cell, thinnest, thickest, gap, ink)
     refuse_recorded(grey)
     grey, inverted = _evened(grey, resolution, inverted)
     refuse_photo(grey)
     advance()
-    cell = max(CELL, resolution) if cell is None else cell
+    cell = max(building.CELL, resolution) if cell is None else cell
     drawn, bold, parts = _sheet(grey, resolution, cell, ink)
     pixel = cell / parts
     pen = _pen(bold, 2 * _LETTER / pixel) * pixel
     thin = max(thinnest, min(max(_BOLD * pen, _LINES * resolution), _BOLDEST))
-    partition = max(thinnest, _PARTITION * resolution)
-    tried = (thickest,) if thickest is not None else THICKEST
+    partition = max(thinnest, _SOFT * resolution)
+    tried = (thickest,) if thickest is not None else building.THICKEST
     between, frame = _lined(drawn, bold, resolution, tried, thin, parts, pixel, gap, advance)
     found = _enclosing(drawn, bold, frame, between, thin, partition, parts, pixel, gap, advance)
-    inside = _finer(found.inside, parts)
-    walls = _touching(found.walls & ~found.frame | found.pillars, inside)
+    inside = masks.finer(found.inside, parts)
+    walls = building.touching(found.walls & ~found.frame | found.pillars, inside)
     kinds = _kinds(drawn, walls, inside, between.hatching, found.frame, found.swings, pixel)
-    middle = skeletonize(walls)
-    through = (2 * _depth(walls)[middle] - 0.5) * pixel
-    low, median, high = np.percentile(through, (5, 50, 95)).tolist()
-    rows, columns = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
-    grid = _as_grid(walls, middle, found.inside, cell, origin or Pose2D(0, 0))
-    return FloorPlan(
-        grid=grid,
-        kinds=kinds,
-        pixel=pixel,
-        size=(float(np.ptp(columns) + 1) * pixel, float(np.ptp(rows) + 1) * pixel),
-        walls=int(label(walls, connectivity=2).max()),
-        length=len(through) * pixel,
-        thickness=(low, median, high),
-        doors=tuple(sorted(swing.radius * pixel for swing in found.swings)),
-        removed=_counted(kinds, len(found.swings), pixel),
-        gap=found.gap,
-        thinnest=found.thinnest,
-        thickest=between.thickest,
-        inverted=inverted,
-        framed_area=_framed(grid.occupied, cell, gap) * cell**2,
+    plan = building.finished(
+        walls, found.inside, kinds, cell, origin or Pose2D(0, 0),
+        [swing.radius * pixel for swing in found.swings],
+        gap=found.gap, thinnest=found.thinnest, thickest=between.thickest, inverted=inverted,
         other_area=_elsewhere(found.walls & ~found.frame, found.inside, cell, found.gap),
-    )
+    )  # fmt: skip
+    return replace(plan, framed_area=_framed(plan.grid.occupied, cell, gap) * cell**2)
 
 
 def _lined(
@@ -427,9 +202,9 @@ def _lined(
     tried = list[tuple[int, Between]]()
     for most in thickest:
         between = _between_lines(drawn, most, line, across, pixel)
-        solid = _opened(_opened(bold, least) | between.body, least)
-        standing, _ = _standing(solid & ~frame, drawn, pixel)
-        inside, ring, _ = _building(standing, parts, pixel, gap)
+        solid = masks.opened(masks.opened(bold, least) | between.body, least)
+        walls, _ = building.standing(solid & ~frame, drawn, pixel)
+        inside, ring, _ = _building(walls, parts, pixel, gap)
         frame |= ring
         tried.append((int(np.count_nonzero(inside)), between))
         advance()
@@ -443,19 +218,19 @@ def _enclosing(
     partition: float, parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
 ) -> Enclosed:  # fmt: skip
     """The walls that enclose the building, no thinner than needed: `thin` metres if possible."""
-    best, best_area = None, _LEAST / (parts * pixel) ** 2
+    best, best_area = None, building.LEAST / (parts * pixel) ** 2
     for share in _THINNER:
         walls, pillars, short, swings = _walls(drawn, bold, between, share * thin, partition, pixel)
         inside, ring, closed = _building(walls & ~frame, parts, pixel, gap)
         frame = frame | ring
         inside, corners = _with_corners(walls & ~frame, short, inside, parts * pixel, closed)
-        walls, area = walls | corners, np.count_nonzero(inside)
+        walls, area = walls | corners, float(np.count_nonzero(inside))
         if area >= best_area:
             best, best_area = (share * thin, walls, pillars, swings, inside, closed), area
         advance()
         # A frame is a large share of what is drawn, but thinner lines along it are no walls.
-        span = _span(walls & ~frame) if frame.any() else _span(drawn)
-        if best is not None and area * parts**2 >= _DOUBT[0] * span:
+        span = masks.span(walls & ~frame) if frame.any() else masks.span(drawn)
+        if best is not None and area * parts**2 >= building.DOUBT[0] * span:
             break
     if best is None:
         raise MapError(_nothing(drawn, walls, pixel, thin, between.thickest, gap))
@@ -476,25 +251,25 @@ def _walls(
     `partition` is a wall, too, where it is long and joined to another.
     """
     least = max(2.0, thinnest / pixel)
-    solid = _opened(bold, least) | between.body
-    rough, _ = _standing(_opened(solid, least), drawn, pixel)
+    solid = masks.opened(bold, least) | between.body
+    rough, _ = building.standing(masks.opened(solid, least), drawn, pixel)
     swings = _swings(drawn, rough, pixel)
     # The leaf of a door may be as thick as the thinnest wall, and hide its own swing.
-    bolder, _ = _standing(_opened(solid, _LEAF_THICK / pixel), drawn, pixel)
+    bolder, _ = building.standing(masks.opened(solid, _LEAF_THICK / pixel), drawn, pixel)
     for swing in _swings(drawn, bolder, pixel):
         if all(np.hypot(*(swing.hinge - s.hinge)) > _HANGS / pixel for s in swings):
             swings.append(swing)
     thick, leaf = between.thickest / pixel, _LEAF_THICK / pixel
     solid = _without_leaves(solid, between.holes, swings, thick, leaf)
-    walls, pillars = _standing(_opened(solid, least), drawn, pixel)
+    walls, pillars = building.standing(masks.opened(solid, least), drawn, pixel)
     if partition < thinnest:
-        finer = _opened(bold, max(2.0, partition / pixel))
+        finer = masks.opened(bold, max(2.0, partition / pixel))
         finer = _without_leaves(finer, between.holes, swings, thick, leaf)
-        long, _ = _standing(finer & ~_grown(walls, 1), drawn, pixel)
-        both = walls | (finer & _grown(long, 2))
-        labels, stats = _pieces(both)
-        walls = _met(labels, len(stats), walls)[labels]
-    return walls, pillars, _opened(solid, least) & ~walls & ~pillars, swings
+        long, _ = building.standing(finer & ~masks.grown(walls, 1), drawn, pixel)
+        both = walls | (finer & masks.grown(long, 2))
+        labels, stats = masks.pieces(both)
+        walls = masks.met(labels, len(stats), walls)[labels]
+    return walls, pillars, masks.opened(solid, least) & ~walls & ~pillars, swings
 
 
 def _with_corners(
@@ -506,21 +281,21 @@ def _with_corners(
     if it is at a corner of the box around the building, and the building is open without it.
     """
     parts, none = len(walls) // len(inside), np.zeros_like(walls)
-    building = _touching(walls, _finer(inside, parts))
-    if not building.any():
+    own = building.touching(walls, masks.finer(inside, parts))
+    if not own.any():
         return inside, none
-    points = cv2.findNonZero(building.astype(np.uint8))
+    points = cv2.findNonZero(own.astype(np.uint8))
     factor, share, near = _CORNERS
     spots = none.astype(np.uint8)
     for corner in np.rint(cv2.boxPoints(cv2.minAreaRect(points))).astype(np.int32).tolist():
         cv2.circle(spots, corner, round(near * parts / cell), 1, -1)
-    labels, stats = _pieces(short & ~_finer(inside, parts))
-    thick = _greatest(_depth(short), labels, labels > 0, len(stats))
-    median = np.median(_depth(building)[skeletonize(building)])
-    at_corner = _met(labels, len(stats), (labels > 0) & (spots > 0))
+    labels, stats = masks.pieces(short & ~masks.finer(inside, parts))
+    thick = masks.greatest(masks.depth(short), labels, labels > 0, len(stats))
+    median = np.median(masks.depth(own)[skeletonize(own)])
+    at_corner = masks.met(labels, len(stats), (labels > 0) & (spots > 0))
     corners = (at_corner & (thick >= share * median))[labels]
-    taken = _coarser(walls | corners, parts) > 0
-    with_them, _ = _inside(taken, cell, gap)
+    taken = masks.coarser(walls | corners, parts) > 0
+    with_them, _ = building.inside_of(taken, cell, gap)
     if np.count_nonzero(with_them) <= factor * np.count_nonzero(inside):
         return inside, none
     return with_them, corners
@@ -529,60 +304,8 @@ def _with_corners(
 def plan_bytes(height: int, width: int, resolution: float, cell: float | None = None) -> int:
     """Peak of :func:`plan_to_map` for a plan of so many pixels, besides the plan, bytes."""
     area = height * width * resolution**2
-    most = area / (min(cell or CELL, CELL) / _PARTS[0]) ** 2
-    return round(_BYTES * min(most, max(_MOST, height * width))) + 3 * height * width
-
-
-def _depth(mask: BoolArray) -> Float32Array:
-    """Distance of each pixel of a mask from the nearest one outside, beyond the border too."""
-    return distance_transform(np.pad(mask, 1).astype(np.uint8))[1:-1, 1:-1]
-
-
-def _opened(mask: BoolArray, thickness: float) -> BoolArray:
-    """The parts of a mask that are at least so many pixels thick, where they were."""
-    side = max(1, round(thickness))
-    radius, off = (side - 1) / 2, np.arange(side) - (side - 1) / 2
-    # If the side is even, MORPH_OPEN shifts by a pixel, and MORPH_ELLIPSE is lopsided.
-    disc = (abs(off) <= np.sqrt(radius**2 - off[:, None] ** 2) + 0.5).astype(np.uint8)
-    after, before = (side // 2,) * 2, ((side - 1) // 2,) * 2
-    cores = cv2.erode(np.pad(mask, 1).astype(np.uint8), disc, anchor=after)
-    return cv2.dilate(cores, disc, anchor=before)[1:-1, 1:-1] > 0
-
-
-def _grown(mask: BoolArray, by: int) -> BoolArray:
-    return cv2.dilate(mask.astype(np.uint8), disk(by)) > 0
-
-
-def _beside(mask: BoolArray) -> BoolArray:
-    """A mask with the eight pixels around each of its own."""
-    return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-
-
-def _pieces(mask: BoolArray, connectivity: int = 8) -> tuple[npt.NDArray[np.int32], IntArray]:
-    """Labels of the connected pieces, and left, top, width, height and area of each, 0 first."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(
-        mask.astype(np.uint8), connectivity=connectivity
-    )
-    return np.asarray(labels, np.int32), np.asarray(stats, np.int64)
-
-
-def _met(labels: npt.NDArray[np.int32], count: int, where: BoolArray) -> BoolArray:
-    """Which labels lie somewhere in a mask, (count,); 0 does not."""
-    out = np.zeros(count, np.bool_)
-    out[labels[where]] = True
-    out[0] = False
-    return out
-
-
-def _firsts(labels: npt.NDArray[np.int32], count: int) -> IntArray:
-    """Where each label comes first in the flattened image, (count,); 0 for one that is not there.
-
-    If nothing lies between the pieces, 0 is not there.
-    """
-    found, at = np.unique(labels, return_index=True)
-    out = np.zeros(count, np.int64)
-    out[found] = at
-    return out
+    most = area / (min(cell or building.CELL, building.CELL) / building.PARTS[0]) ** 2
+    return round(_BYTES * min(most, max(building.MOST_PIXELS, height * width))) + 3 * height * width
 
 
 def _evened(
@@ -592,7 +315,7 @@ def _evened(
 
     Shadows, and the colours of rooms, are paper: what is wider than any wall.
     """
-    side = max(3, min(round(_PAPER / resolution), min(grey.shape) // 4)) | 1  # odd: see _opened
+    side = max(3, min(round(_PAPER / resolution), min(grey.shape) // 4)) | 1  # odd: see opened
     kernel = np.ones((side, side), np.uint8)
     smooth = cv2.medianBlur(grey, 3)
     light, dark = cv2.dilate(smooth, kernel), cv2.erode(smooth, kernel)
@@ -622,20 +345,20 @@ def _sheet(
     tones = np.array([np.median(grey[dark]), np.median(grey[~dark])])
     faint = limit if ink is not None else max(limit, _LIGHT @ tones)
     high, wide = (side * resolution for side in grey.shape)
-    for parts in (max(1, round(n * cell / CELL)) for n in _PARTS):
+    for parts in (max(1, round(n * cell / building.CELL)) for n in building.PARTS):
         pixel = cell / parts
         size = round(wide / pixel), round(high / pixel)
-        if size[0] * size[1] <= _MOST:
+        if size[0] * size[1] <= building.MOST_PIXELS:
             break
     if resolution < pixel:
-        masks = [
+        both = [
             cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
             for m, share in ((grey <= faint, _FAINT), (dark, 0.5))
         ]
     else:
         larger = cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR)
-        masks = [larger <= faint, larger <= limit]
-    drawn, bold = (np.pad(m, [(0, -side % parts) for side in m.shape]) for m in masks)
+        both = [larger <= faint, larger <= limit]
+    drawn, bold = (np.pad(m, [(0, -side % parts) for side in m.shape]) for m in both)
     return drawn, bold, parts
 
 
@@ -646,17 +369,17 @@ def _between_lines(
     holes, hatching = _spaces(drawn, thickest / pixel, across, pixel)
     holes &= ~_furniture(drawn, thickest / pixel, pixel)
     # The lines between two spaces of a wall are in it, and half of the lines along it.
-    body = _closed(holes, across) & (drawn | holes)
-    body = _grown(body, round(line / 2)) & (drawn | body)
+    body = masks.closed(holes, across) & (drawn | holes)
+    body = masks.grown(body, round(line / 2)) & (drawn | body)
     # A narrow hatched wall is more ink than paper.
-    dense = _opened(drawn | holes, _DENSE * line) & _grown(holes, round(_HATCHED / pixel))
+    dense = masks.opened(drawn | holes, _DENSE * line) & masks.grown(holes, round(_HATCHED / pixel))
     body |= dense
-    if thickest > THICKEST[0]:  # so thick are cupboards, too, but outer walls are longer
-        labels, stats = _pieces(_opened(body, THICKEST[0] / pixel))
+    if thickest > building.THICKEST[0]:  # so thick are cupboards, too, but outer walls are longer
+        labels, stats = masks.pieces(masks.opened(body, building.THICKEST[0] / pixel))
         span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
         short = span < _LENGTH / pixel
         short[0] = False
-        body &= ~_grown(short[labels], round(across))
+        body &= ~masks.grown(short[labels], round(across))
         holes &= body
     return Between(thickest, holes, hatching, body)
 
@@ -665,38 +388,29 @@ def _spaces(
     drawn: BoolArray, thick: float, across: float, pixel: float
 ) -> tuple[BoolArray, BoolArray]:
     """Spaces between the lines of a wall, and those of stairs, tiles and other hatching."""
-    labels, stats = _pieces(~drawn, 4)
-    half = _depth(~drawn)
-    narrow = ~_met(labels, len(stats), half > thick / 2)
+    labels, stats = masks.pieces(~drawn, 4)
+    half = masks.depth(~drawn)
+    narrow = ~masks.met(labels, len(stats), half > thick / 2)
     narrow[0] = False
     for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         narrow[border] = False
     holes = narrow[labels]
     # Narrow spaces side by side are a wall only if they are as thick as one together.
-    together = _depth(drawn | holes)
-    depth, width = (_greatest(m, labels, holes, len(stats)) for m in (together, 2 * half))
+    together = masks.depth(drawn | holes)
+    depth, width = (masks.greatest(m, labels, holes, len(stats)) for m in (together, 2 * half))
     deep = depth > 0.55 * thick + 2
     deep &= ~_windows(drawn, labels, deep, together, thick, across)
     long = stats[:, cv2.CC_STAT_AREA] >= _STRIP * np.maximum(width, 1) ** 2
     # What is not belongs to a wall if it is one of many cells between the lines of a hatching.
     little = stats[:, cv2.CC_STAT_AREA] < _LITTLE / pixel**2
     cells = (narrow & ~deep & (little | ~long))[labels]
-    strip, found = _pieces(_closed(cells, _HATCHED / pixel))
+    strip, found = masks.pieces(masks.closed(cells, _HATCHED / pixel))
     members = np.zeros(len(found), np.int64)
     first = np.unique(labels[cells], return_index=True)[1]
     np.add.at(members, strip[cells][first], 1)
-    hatched = _met(labels, len(stats), cells & (members >= _CELLS)[strip])
+    hatched = masks.met(labels, len(stats), cells & (members >= _CELLS)[strip])
     wall = narrow & ~deep & (long | hatched)
     return wall[labels], (narrow & deep)[labels]
-
-
-def _greatest(
-    image: Float32Array, labels: npt.NDArray[np.int32], where: BoolArray, count: int
-) -> Float32Array:
-    """The greatest value of each label within a mask, (count,); 0 for one that is not there."""
-    out = np.zeros(count, np.float32)
-    np.maximum.at(out, labels[where], image[where])
-    return out
 
 
 def _windows(
@@ -709,16 +423,16 @@ def _windows(
     beside it. A cupboard makes it thicker; a door with two leaves leads to no paper outside.
     """
     panes = deep[labels]
-    union, solid = (_around(m, thick) for m in (together, _depth(drawn)))
-    most, wall = (_greatest(m, labels, panes, len(deep)) for m in (union, solid))
+    union, solid = (_around(m, thick) for m in (together, masks.depth(drawn)))
+    most, wall = (masks.greatest(m, labels, panes, len(deep)) for m in (union, solid))
     flush = deep & (wall > 0.55 * thick) & (most <= _WINDOW * wall + 2)
     paper = np.zeros(len(deep), np.bool_)
     for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         paper[border] = True
     paper[0] = False
-    groups, found = _pieces(_closed(flush[labels], across))
-    outer = _met(groups, len(found), _grown(paper[labels], round(across) + 2))[groups]
-    return np.asarray(flush & _met(labels, len(deep), outer & flush[labels]))
+    groups, found = masks.pieces(masks.closed(flush[labels], across))
+    outer = masks.met(groups, len(found), masks.grown(paper[labels], round(across) + 2))[groups]
+    return np.asarray(flush & masks.met(labels, len(deep), outer & flush[labels]))
 
 
 def _around(image: Float32Array, radius: float) -> Float32Array:
@@ -732,23 +446,18 @@ def _around(image: Float32Array, radius: float) -> Float32Array:
 
 def _pen(bold: BoolArray, letter: float) -> float:
     """Width of the lines of letters and symbols, pixels; 0 if there are next to none."""
-    labels, stats = _pieces(bold)
+    labels, stats = masks.pieces(bold)
     _, _, wide, high, area = stats.T
     small = (area > 12) & (area < 0.4 * wide * high) & (np.maximum(wide, high) < letter)
     if np.count_nonzero(small) < 5:
         return 0.0
-    depth = np.bincount(labels.ravel(), _depth(bold).ravel(), len(stats))[small] / area[small]
+    depth = np.bincount(labels.ravel(), masks.depth(bold).ravel(), len(stats))[small] / area[small]
     return float(np.median(4 * depth - 2.2))
-
-
-def _closed(mask: BoolArray, by: float) -> BoolArray:
-    kernel = np.ones((2 * round(by / 2) + 1,) * 2, np.uint8)
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
 
 
 def _furniture(drawn: BoolArray, thick: float, pixel: float) -> BoolArray:
     """Mask of furniture, filled: it stands alone, is too thick for a wall, and encloses no room."""
-    labels, stats = _pieces(drawn)
+    labels, stats = masks.pieces(drawn)
     out = np.zeros_like(drawn)
     for k, (x, y, wide, high, area) in enumerate(stats[1:].tolist(), 1):
         if not 2 * thick < np.hypot(wide, high) < 6.0 / pixel:
@@ -757,9 +466,9 @@ def _furniture(drawn: BoolArray, thick: float, pixel: float) -> BoolArray:
         around = own.copy()
         cv2.floodFill(around, None, (0, 0), 2)
         filled = around != 2
-        if area > 0.8 * np.count_nonzero(filled) or _depth(filled).max() < 0.55 * thick + 1:
+        if area > 0.8 * np.count_nonzero(filled) or masks.depth(filled).max() < 0.55 * thick + 1:
             continue
-        if _depth(filled & (own == 0)).max() < _ROOM / 2 / pixel:
+        if masks.depth(filled & (own == 0)).max() < _ROOM / 2 / pixel:
             out[y : y + high, x : x + wide] |= filled[1:-1, 1:-1]
     return out
 
@@ -767,8 +476,8 @@ def _furniture(drawn: BoolArray, thick: float, pixel: float) -> BoolArray:
 def _swings(drawn: BoolArray, walls: BoolArray, pixel: float) -> list[Swing]:
     """The quarter circles among thin lines that hang on a wall and end at one: doors that swing."""
     rng = np.random.default_rng(0)
-    to_wall, to_ink = _depth(~walls), _depth(~drawn)
-    labels, stats = _pieces(drawn & ~_grown(walls, 2))
+    to_wall, to_ink = masks.depth(~walls), masks.depth(~drawn)
+    labels, stats = masks.pieces(drawn & ~masks.grown(walls, 2))
     found: list[Swing] = []
     for k, (x, y, wide, high, _) in enumerate(stats[1:].tolist(), 1):
         if not 0.7 * _LEAF[0] / pixel < max(wide, high) < 6.0 / pixel:
@@ -801,7 +510,7 @@ def _arc(
     ok = (radius > _LEAF[0] / pixel) & (radius < _LEAF[1] / pixel)
     ok &= _at(to_wall, centre) < _HANGS / pixel
     radius, centre = radius[ok], centre[ok]
-    some = points[rng.permutation(len(points))[:_POINTS]]
+    some = points[rng.permutation(len(points))[:_TRIALS]]
     away = np.hypot(*(some[None] - centre[:, None]).transpose(2, 0, 1)) - radius[:, None]
     order = np.argsort(-np.count_nonzero(np.abs(away) < 1.5, axis=1), kind="stable")
     for k in order[:10].tolist():
@@ -860,48 +569,11 @@ def _without_leaves(
             for image, ends in ((across, (0.06, 0.97)), (middle, (0.2, 0.8))):
                 p, q = (np.rint(swing.hinge + s * (end - swing.hinge)).astype(int) for s in ends)
                 cv2.line(image, p.tolist(), q.tolist(), 1, max(1, round(leaf)))
-    thin = (across > 0) & ~_opened(solid, leaf)
-    labels, stats = _pieces(holes, 4)
+    thin = (across > 0) & ~masks.opened(solid, leaf)
+    labels, stats = masks.pieces(holes, 4)
     small = stats[:, cv2.CC_STAT_AREA] < 1.5 * thick * max(swing.radius for swing in swings)
-    crossed = _met(labels, len(stats), holes & (middle > 0)) & small
+    crossed = masks.met(labels, len(stats), holes & (middle > 0)) & small
     return solid & ~thin & ~crossed[labels]
-
-
-def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArray, BoolArray]:
-    """The pieces of wall that are long; and pillars: filled, and nearly as wide as long."""
-    labels, stats = _pieces(walls)
-    area = np.maximum(1, stats[:, cv2.CC_STAT_AREA])
-    span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * pixel
-    ink = np.bincount(labels[drawn], minlength=len(stats)) / area
-    wide = 2 * _greatest(_depth(walls), labels, walls, len(stats))
-    long = span >= _PIECE
-    # White specks of a scan cut a line into pieces, some of them short.
-    groups, found = _pieces(_grown(walls, max(1, round(_CUT / 2 / pixel))))
-    own = groups.ravel()[_firsts(labels, len(stats))]
-    own[0] = 0
-    joined = np.zeros(len(found), np.bool_)
-    joined[own[long]] = True
-    pillar = ~long & (ink > 0.9) & (wide * pixel > _PILLAR) & (area < 4 * wide**2)
-    long |= joined[own] & ~pillar
-    long[0] = pillar[0] = False
-    return long[labels], pillar[labels]
-
-
-def _touching(walls: BoolArray, inside: BoolArray) -> BoolArray:
-    """The pieces of wall at the inside of the building."""
-    labels, stats = _pieces(walls)
-    return _met(labels, len(stats), walls & _grown(inside, 4))[labels]
-
-
-def _coarser(mask: BoolArray, parts: int) -> Float32Array:
-    """Share of each cell that is in a mask of pixels."""
-    size = mask.shape[1] // parts, mask.shape[0] // parts
-    out = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    return np.asarray(out, np.float32)
-
-
-def _finer(mask: BoolArray, parts: int) -> BoolArray:
-    return np.repeat(np.repeat(mask, parts, axis=0), parts, axis=1)
 
 
 def _building(
@@ -912,28 +584,28 @@ def _building(
     A frame is a rectangle without an opening around walls that enclose much of it by themselves.
     """
     frame = np.zeros(tuple(side // parts for side in walls.shape), np.bool_)
-    taken = _coarser(walls, parts) > 0
+    taken = masks.coarser(walls, parts) > 0
     cell = parts * pixel
-    inside, closed = _inside(taken, cell, gap)
+    inside, closed = building.inside_of(taken, cell, gap)
     while (ring := _ring(taken & ~frame, cell)) is not None:
         line, within, least = ring
         rest = taken & ~frame & ~line & within
-        own, gaps = _inside(rest, cell, gap)
+        own, gaps = building.inside_of(rest, cell, gap)
         if np.count_nonzero(own) < least * np.count_nonzero(within):
             break
         # The wall of a hall that rooms are joined to is no thinner than theirs.
-        joined = np.any(_grown(line, 2) & rest)
+        joined = np.any(masks.grown(line, 2) & rest)
         if joined and _width(walls, line, parts) > _LIGHTER * _width(walls, rest, parts):
             break
         frame |= line
         inside, closed = own, gaps
-    return inside, walls & _finer(frame, parts), closed
+    return inside, walls & masks.finer(frame, parts), closed
 
 
 def _width(walls: BoolArray, where: BoolArray, parts: int) -> float:
     """Mean thickness, pixels, of the walls in some cells."""
     length = parts * int(np.count_nonzero(skeletonize(where)))
-    return float(np.count_nonzero(walls & _finer(where, parts))) / max(1, length)
+    return float(np.count_nonzero(walls & masks.finer(where, parts))) / max(1, length)
 
 
 def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] | None:
@@ -942,24 +614,28 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     That is the share of it, 0..1, that other walls enclose by themselves. None if the piece of wall
     around most others is no rectangle, or is a building: has openings, or walls all along.
     """
-    labels, stats = _pieces(distance_transform((~taken).astype(np.uint8)) <= _BROKEN / 2 / cell)
+    labels, stats = masks.pieces(
+        distance_transform((~taken).astype(np.uint8)) <= _BROKEN / 2 / cell
+    )
     if len(stats) < 2:
         return None
-    ring = taken & (labels == int(np.argmax(_spans(stats))))
+    ring = taken & (labels == int(np.argmax(masks.spans(stats))))
     rows, columns = np.nonzero(ring)
     hull = cv2.convexHull(np.column_stack((columns, rows)).astype(np.int32))
     within = cv2.fillConvexPoly(np.zeros(ring.shape, np.uint8), hull, 1) > 0
     if np.count_nonzero(within) <= _STRAIGHT * np.prod(cv2.minAreaRect(hull)[1]):
         return None
     # A hall has doors, and may have a few small rooms.
-    shut = np.count_nonzero(_enclosed(ring, _SHUT / 2 / cell)) > 0.5 * np.count_nonzero(within)
-    middle, depth = skeletonize(ring), _depth(within)
+    shut = np.count_nonzero(building.enclosed(ring, _SHUT / 2 / cell)) > 0.5 * np.count_nonzero(
+        within
+    )
+    middle, depth = skeletonize(ring), masks.depth(within)
     along = np.count_nonzero(middle & (depth <= 2 * _BROKEN / cell))
     if len(stats) > 2 and along > _ALONG * np.count_nonzero(middle):
         return ring, within, _FRAMED[0 if shut else 1]
     # The building, or a title block near it, is joined to the frame. Paper is along the rest of it.
     loop = (depth > _MARGIN / cell) & (depth <= _MARGIN / cell + 2)
-    free, found = _pieces(loop & ~ring)
+    free, found = masks.pieces(loop & ~ring)
     lengths = np.append(0, found[1:, cv2.CC_STAT_AREA])
     if not shut or lengths.max() < _BORDER * np.count_nonzero(loop):
         return None
@@ -969,16 +645,11 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     )
     line = ring & (depth <= _MARGIN / cell) & (to_paper < to_rest)
     # With what is joined to it, as a title block is; the building is larger.
-    labels, stats = _pieces(ring & ~line)
-    table = _met(labels, len(stats), (labels > 0) & (depth <= 3))
-    table[int(np.argmax(_spans(stats)))] = False
+    labels, stats = masks.pieces(ring & ~line)
+    table = masks.met(labels, len(stats), (labels > 0) & (depth <= 3))
+    table[int(np.argmax(masks.spans(stats)))] = False
     line |= table[labels]
     return line, within, _FRAMED[1]
-
-
-def _spans(stats: IntArray) -> IntArray:
-    """Areas of the boxes around pieces; 0 for what is none."""
-    return np.append(0, stats[1:, cv2.CC_STAT_WIDTH] * stats[1:, cv2.CC_STAT_HEIGHT])
 
 
 def _framed(taken: BoolArray, cell: float, gap: float | None) -> int:
@@ -986,90 +657,18 @@ def _framed(taken: BoolArray, cell: float, gap: float | None) -> int:
     ring = _ring(taken, cell)
     if ring is None:
         return 0
-    own, _ = _inside(taken & ~ring[0] & ring[1], cell, gap)
+    own, _ = building.inside_of(taken & ~ring[0] & ring[1], cell, gap)
     area = int(np.count_nonzero(own))
-    return area if area > _LEAST / cell**2 else 0
+    return area if area > building.LEAST / cell**2 else 0
 
 
 def _elsewhere(walls: BoolArray, inside: BoolArray, cell: float, gap: float) -> float:
     """Square metres that walls enclose which are not joined to the building."""
-    taken = _coarser(walls, walls.shape[0] // inside.shape[0]) > 0
-    labels, stats = _pieces(inside | taken)
-    joined = _met(labels, len(stats), inside)
-    other, _ = _inside(taken & ~joined[labels], cell, gap)
+    taken = masks.coarser(walls, walls.shape[0] // inside.shape[0]) > 0
+    labels, stats = masks.pieces(inside | taken)
+    joined = masks.met(labels, len(stats), inside)
+    other, _ = building.inside_of(taken & ~joined[labels], cell, gap)
     return float(np.count_nonzero(other)) * cell**2
-
-
-def _span(drawn: BoolArray) -> int:
-    """Pixels of the box around all that is drawn."""
-    _, _, wide, high = cv2.boundingRect(drawn.astype(np.uint8))
-    return int(wide * high)
-
-
-def _inside(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArray, float]:
-    """Cells that walls enclose, with doors in the outer walls closed, up to which width."""
-    gaps = _GAPS if gap is None else (gap,)
-    found = [_enclosed(taken, g / 2 / cell) for g in gaps]
-    # Of all buildings: the paper between two is not what a wider gap is for.
-    areas = np.array([np.count_nonzero(cells) for cells in found])
-    # One more: a disc that only just fails to get through a door reaches far into it.
-    k = min(int(np.argmax(areas >= _ENOUGH * areas.max())) + 1, len(found) - 1)
-    # Buildings that one more leaves apart are apart, however wide the paper between them is.
-    apart = min(int(np.argmax(areas >= _APART * areas.max())) + 1, k)
-    largest = _largest(found[apart], taken)
-    if np.count_nonzero(largest) < _APART * areas[apart]:
-        return largest, gaps[apart]
-    return _largest(found[k], taken), gaps[k]
-
-
-def _largest(inside: BoolArray, walls: BoolArray) -> BoolArray:
-    """What is inside of the largest building: cells joined by walls, as a title's are not."""
-    labels, stats = _pieces(inside | walls)
-    areas = np.bincount(labels[inside], minlength=len(stats))
-    return np.asarray(inside & (labels == int(np.argmax(areas))))
-
-
-def _enclosed(taken: BoolArray, radius: float) -> BoolArray:
-    """Cells that a disc from outside does not reach; in cells."""
-    pad = int(np.ceil(radius)) + 3
-    taken = np.pad(taken, pad)
-    # Its centre must get in: on both sides of a small hole in a thin wall it may fill half of it.
-    centres, _ = _pieces(distance_transform((~taken).astype(np.uint8)) > radius, 4)
-    outside, cores = (
-        ~taken & (_depth(~m) <= radius) for m in (centres == centres[0, 0], centres > centres[0, 0])
-    )
-    cores &= ~outside
-    # What only the disc's size keeps it from, a corner outside, or a door: what has an inner side.
-    seals, stats = _pieces(~(outside | cores | taken))
-    out, inner = (_met(seals, len(stats), _grown(m, 2)) for m in (outside, cores))
-    shut = inner | ~out
-    shut[0] = False
-    within = cores | shut[seals]
-    return np.asarray(within[pad:-pad, pad:-pad])
-
-
-def _as_grid(
-    walls: BoolArray, middle: BoolArray, inside: BoolArray, cell: float, origin: Pose2D,
-    hidden: BoolArray | None = None,
-) -> OccupancyGrid:  # fmt: skip
-    """The map, cropped to the building, half a metre around it."""
-    parts = len(walls) // len(inside)
-    share = _coarser(walls, parts)
-    # A wall thinner than a cell may fill no half of any: then its middle counts.
-    occupied = (share >= 0.5) | (_coarser(middle, parts) * parts > 0.75)
-    near = cv2.dilate(inside.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
-    free = (inside | ((share > 0) & (near > 0))) & ~occupied
-    if hidden is not None:  # neither of both
-        free &= _coarser(hidden, parts) == 0
-    x, y, wide, high = cv2.boundingRect((free | occupied).astype(np.uint8))
-    pad = round(0.5 / cell)
-    left, low = x - pad, y - pad
-    rows, columns = slice(y, y + high), slice(x, x + wide)
-    turned = rotation(origin.theta) @ (left * cell, low * cell)
-    corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
-    return OccupancyGrid(
-        np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner
-    )
 
 
 def _kinds(
@@ -1084,8 +683,8 @@ def _kinds(
         arc = swing.hinge + swing.radius * np.column_stack((np.cos(turns), np.sin(turns)))
         outline = np.rint(np.concatenate(([swing.hinge], arc, [swing.hinge]))).astype(np.int32)
         cv2.polylines(arcs, [outline], False, 1, round(0.12 / pixel))
-    rest = drawn & ~_grown(walls, 2) & (arcs == 0)
-    labels, stats = _pieces(rest)
+    rest = drawn & ~masks.grown(walls, 2) & (arcs == 0)
+    labels, stats = masks.pieces(rest)
     count, area = len(stats), np.maximum(1, stats[:, cv2.CC_STAT_AREA])
 
     def share(mask: BoolArray) -> FloatArray:
@@ -1094,32 +693,21 @@ def _kinds(
     wide, high = stats[:, cv2.CC_STAT_WIDTH] * pixel, stats[:, cv2.CC_STAT_HEIGHT] * pixel
     small = np.maximum(wide, high) <= _LETTER
     small[0] = False
-    words, found = _pieces(_closed(small[labels], 0.2 / pixel))
-    word = words.ravel()[_firsts(labels, count)]
+    words, found = masks.pieces(masks.closed(small[labels], 0.2 / pixel))
+    word = words.ravel()[masks.firsts(labels, count)]
     letters = np.bincount(word[small], minlength=len(found))
     span = np.hypot(wide, high)
-    kind = np.full(count, _SYMBOL, np.uint8)
-    kind[(span > 0.8) & (area * pixel**2 < 0.06 * span)] = _LINE
-    kind[small & (letters[word] >= _WORD)] = _TEXT
-    kind[share(_grown(hatching, 2)) > 0.4] = _HATCH
-    kind[share(_grown(inside, 2)) < 0.5] = _OUTSIDE
-    kind[share(frame) > 0.5] = _FRAME
+    kind = np.full(count, Kind.SYMBOL, np.uint8)
+    kind[(span > 0.8) & (area * pixel**2 < 0.06 * span)] = Kind.LINE
+    kind[small & (letters[word] >= _WORD)] = Kind.TEXT
+    kind[share(masks.grown(hatching, 2)) > 0.4] = Kind.HATCH
+    kind[share(masks.grown(inside, 2)) < 0.5] = Kind.OUTSIDE
+    kind[share(frame) > 0.5] = Kind.FRAME
     kind[0] = 0
     out = kind[labels]
-    out[drawn & ~_grown(walls, 2) & (arcs > 0)] = _SWING
-    out[walls] = _WALL
+    out[drawn & ~masks.grown(walls, 2) & (arcs > 0)] = Kind.SWING
+    out[walls] = Kind.WALL
     return out
-
-
-def _counted(kinds: npt.NDArray[np.uint8], swings: int, pixel: float) -> tuple[Removed, ...]:
-    out = []
-    for k in range(_SWING, len(KINDS)):
-        mask = kinds == k
-        sizes = _pieces(mask)[1][1:, cv2.CC_STAT_AREA]
-        count = swings if k == _SWING else int(np.count_nonzero(sizes > _SPECK / pixel**2))
-        if count:
-            out.append(Removed(KINDS[k], count, float(np.count_nonzero(mask)) * pixel**2))
-    return tuple(out)
 
 
 def refuse_recorded(grey: npt.NDArray[np.uint8]) -> None:
@@ -1164,10 +752,10 @@ def _nothing(
             f"no walls found: no ink is {thin * _THINNER[-1]:.2f} m thick, and no lines run less "
             f"than {thick:g} m apart; {what}"
         )
-    widest = _GAPS[-1] if gap is None else gap
+    widest = building.GAPS[-1] if gap is None else gap
     return (
-        f"walls were found, but they enclose nothing of {_LEAST:g} square metres, not even if "
-        f"openings of {widest:g} m are closed; {what} A wider `gap` closes more"
+        f"walls were found, but they enclose nothing of {building.LEAST:g} square metres, not "
+        f"even if openings of {widest:g} m are closed; {what} A wider `gap` closes more"
     )
 
 
@@ -1185,6 +773,6 @@ def _check(
         if value is not None and not low <= value <= high:
             raise ConfigError(f"`{name}`: got {value:g}, expected {low:g} to {high:g}")
     if thickest is None:
-        thickest = THICKEST[0]
+        thickest = building.THICKEST[0]
     if thinnest >= thickest:
         raise ConfigError(f"`thinnest={thinnest:g}`: expected less than `thickest={thickest:g}`")

@@ -8,7 +8,7 @@ from imgloc.model import BoolArray, FloatArray, Pose2D, compose
 from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, map_canvas
 from imgloc.output.pictures import mosaic
 from imgloc.output.plots import AREA, framed
-from imgloc.plans.floorplan import KINDS, FloorPlan
+from imgloc.plans.building import KINDS, FloorPlan
 
 # Of KINDS: paper, walls, then Okabe and Ito's colours.
 _COLOURS: tuple[Colour, ...] = (

@@ -308,3 +308,9 @@ def test_a_door_that_is_in_no_map_is_warned_of(tmp_path: Path) -> None:
     document.saveas(tmp_path / "wing.dxf")
     run = call("map", "plan", tmp_path / "wing.dxf", "--out", tmp_path / "b.yaml")
     assert "doors outside of what was found: 1" in run.err
+
+
+@pytest.mark.parametrize("option", ["--ink 0.5", "--thinnest 0.1", "--memory-budget 1G"])
+def test_options_of_images_are_refused_of_drawings(tmp_path: Path, option: str) -> None:
+    run = call("map", "plan", dxf(tmp_path / "a.dxf"), "-o", tmp_path / "a.yaml", *option.split())
+    assert (run.code, option.split()[0] in run.err, "expected an image" in run.err) == (2, 1, 1)

@@ -12,25 +12,27 @@ from cabin import cabin
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.images import encode_png
 from imgloc.model import BoolArray, Pose2D
-from imgloc.plans.files import load_plan
-from imgloc.plans.floorplan import (
+from imgloc.plans.building import (
     KINDS,
-    STEPS,
     THICKEST,
     FloorPlan,
+    enclosed,
+    inside_of,
+    standing,
+)
+from imgloc.plans.files import load_plan
+from imgloc.plans.floorplan import (
+    STEPS,
     Swing,
-    _enclosed,
     _furniture,
-    _inside,
     _kinds,
-    _opened,
     _pen,
     _sheet,
-    _standing,
     _swings,
     plan_to_map,
     refuse_recorded,
 )
+from imgloc.plans.masks import opened
 from tools.plans.drawing import Image, draw_plan, inside, solid
 from tools.plans.measure import shares_found
 from tools.plans.sheets import (
@@ -219,7 +221,7 @@ def test_a_disc_does_not_get_through_a_hole_in_a_thin_wall(hole: int) -> None:
     room = np.zeros((60, 80), np.bool_)
     cv2.rectangle(walls := room.astype(np.uint8), (10, 10), (70, 50), 1, 1)
     walls[30 : 30 + hole, 70] = 0
-    assert np.count_nonzero(_enclosed(walls > 0, 8.0)) >= 59 * 39
+    assert np.count_nonzero(enclosed(walls > 0, 8.0)) >= 59 * 39
 
 
 def test_a_hall_with_rooms_in_it_is_no_frame() -> None:
@@ -256,7 +258,7 @@ def test_the_paper_between_two_buildings_is_no_gap() -> None:
     for x in (20, 302):  # 4 m apart
         cv2.rectangle(taken, (x, 20), (x + 200, 300), 1, 4)
         taken[280:, x + 90 : x + 110] = 0  # a door
-    inside, _ = _inside(taken > 0, 0.05, None)
+    inside, _ = inside_of(taken > 0, 0.05, None)
     assert np.count_nonzero(inside) == pytest.approx(200 * 280, rel=0.05)
 
 
@@ -329,18 +331,18 @@ def test_a_plan_that_is_wall_all_over_has_no_walls() -> None:
         plan.ravel()[-1] = 190
         with pytest.raises(MapError):
             plan_to_map(plan, 0.01, inverted=True)
-    assert [mask.all() for mask in _standing(*np.ones((2, 400, 8), np.bool_), 0.0125)] == [1, 0]
+    assert [mask.all() for mask in standing(*np.ones((2, 400, 8), np.bool_), 0.0125)] == [1, 0]
 
 
 @pytest.mark.parametrize("thickness", range(1, 10))
 def test_what_is_as_thick_stays_where_it_was(thickness: int) -> None:
     bars = np.zeros((60, 60), np.bool_)
     bars[20 : 20 + thickness, 15:45] = bars[40 : 39 + thickness, 15:45] = True
-    opened = _opened(bars, thickness)
-    assert np.flatnonzero(opened.any(axis=1)).tolist() == list(range(20, 20 + thickness))
-    assert not (opened & ~bars).any()
+    result = opened(bars, thickness)
+    assert np.flatnonzero(result.any(axis=1)).tolist() == list(range(20, 20 + thickness))
+    assert not (result & ~bars).any()
     for axis in (0, 1):
-        assert np.array_equal(np.flip(_opened(np.flip(bars, axis), thickness), axis), opened)
+        assert np.array_equal(np.flip(opened(np.flip(bars, axis), thickness), axis), result)
 
 
 @pytest.mark.parametrize(("style", "resolution"), [("filled", 0.02), ("outlined", 0.0125)])
@@ -404,7 +406,7 @@ def test_a_pillar_is_filled_wide_and_about_square() -> None:
         walls[y : y + high, x : x + wide] = True
     drawn = walls.copy()
     drawn[62:70, 32:40] = False
-    long, pillars = _standing(walls, drawn, 0.02)
+    long, pillars = standing(walls, drawn, 0.02)
     found = [{n for n, (y, x, _, _) in boxes.items() if m[y, x]} for m in (long, pillars)]
     assert found == [{"long"}, {"pillar"}]
 

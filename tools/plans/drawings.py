@@ -20,8 +20,8 @@ from tools.plans.drawing import Building, leaves, solid
 from tools.plans.measure import AROUND, Row, judge
 
 DRAWINGS_HEAD = (
-    "drawing | floor m | rooms | doors | scale | first right | unique | unique and wrong | "
-    "on a map by scans | seconds | MB | warned of"
+    "drawing | floor m | rooms | doors | scale | first right | among the answers | unique | "
+    "unique and wrong | on a map by scans | seconds | MB | warned of"
 )
 _OFF, _SMOOTH = 0.03, 1.5  # metres that walls are off, and over how long a way that changes
 _BOXES, _PEOPLE = 15.0, 40.0  # square metres a box, and a person
@@ -41,7 +41,7 @@ def measure_drawings(
             drawing = read_drawing(path)
             floors = drawing_to_maps(drawing)
         except ImglocError as error:
-            yield path.name, "", "", "", "", "refused", "", "", "", "", "", str(error)[-150:]
+            yield path.name, "", "", "", "", "refused", *[""] * 6, str(error)[-150:]
             continue
         took = f"{time.process_time() - start:.1f}"
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
@@ -59,8 +59,8 @@ def measure_drawings(
             unit, said = found.scale
             yield (
                 path.name, size, found.rooms, len(found.doors), f"{unit:g}: {said}",
-                f"{rows[0].right} of {rows[0].scans}", rows[0].unique, rows[0].wrong, rows[1].right,
-                took, peak, found.doubt[:60],
+                f"{rows[0].right} of {rows[0].scans}", rows[0].among, rows[0].unique, rows[0].wrong,
+                rows[1].right, took, peak, found.doubt[:60],
             )  # fmt: skip
 
 

@@ -57,6 +57,7 @@ class Row:
     where: str  #: of :data:`MAPS`
     scans: int = 0
     right: int = 0  #: the first answer is
+    among: int = 0  #: one of the answers is
     unique: int = 0
     wrong: int = 0  #: ``unique``, and not right
     nothing: int = 0  #: ``no-match``
@@ -165,11 +166,13 @@ def judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], N
     """Locate scans on a map, and count in its row what became of them."""
     features = prepare(grid)
     for scan, truth in scans.with_poses():
-        answer = localize(features, scan, Options(top=1))
+        answer = localize(features, scan, Options())
         errors = pose_errors(poses_of(answer.hypotheses), Pose2D(*truth))
-        right = bool((errors < (NEAR, TURNED)).all(axis=1).any())
+        fits = np.asarray((errors < (NEAR, TURNED)).all(axis=1))
+        right = bool(fits[:1].any())
         row.scans += 1
         row.right += right
+        row.among += bool(fits.any())
         row.unique += answer.verdict == "unique"
         row.wrong += answer.verdict == "unique" and not right
         row.nothing += answer.verdict == "no-match"
