@@ -390,8 +390,14 @@ def test_a_cart_of_many_pieces_is_one_thing(split, things):
     ranges = np.full(121, 1.5)
     if split:
         ranges[55:66] = 4.0 / np.cos(angles[55:66])
-    got = score(wall, POSE, ranges, angles)
+    readings, features = (
+        Readings(ranges, angles),
+        MapFeatures(OccupancyGrid(wall, ~wall, RESOLUTION)),
+    )
+    got = score_poses(features, readings, np.array(POSE), model)
     hidden = np.count_nonzero(ranges == 1.5)
+    assert [one.through for one in things_at(readings, got, 0)] == [False] * things
+    assert sum(one.share for one in things_at(readings, got, 0)) == pytest.approx(hidden / 121)
     own = hidden * (model.best - number("rescore.apart")) - things * number("rescore.price")
     assert got.things[0] - own == pytest.approx(model.best * (121 - hidden), abs=8.0)
 

@@ -125,21 +125,23 @@ def score_poses(
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
     """Name the pieces of a scan that differ from the map at one of the scored poses.
 
-    They are not on the map, or pass through a wall of it. The largest come first.
+    They are not on the map, or pass through a wall of it. Pieces of a surface that goes on are one
+    thing. The largest come first.
     """
-    order, parts, _ = pieces(readings.ranges, readings.angles)
+    order, parts, goes_on = pieces(readings.ranges, readings.angles)
+    through = scores.passing[index]
+    kind = np.where(through, 2, scores.own[index])  # 0 where a piece is what the map has
+    begins = ~goes_on | (np.diff(kind, prepend=-1) != 0)
+    parts, kind, through = parts[begins], kind[begins], through[begins]
     sizes = _sizes(parts, len(order))
     angle, far = (
         np.add.reduceat(each[order], parts) / sizes for each in (readings.angles, readings.ranges)
     )
-    found = np.flatnonzero(scores.own[index] | scores.passing[index])
+    found = np.flatnonzero(kind)
     return tuple(
-        Thing(
-            float(angle[k]), float(far[k]), float(sizes[k] / len(order)),
-            bool(scores.passing[index, k]),
-        )
+        Thing(float(angle[k]), float(far[k]), float(sizes[k] / len(order)), bool(through[k]))
         for k in found[np.argsort(-sizes[found], kind="stable")]
-    )  # fmt: skip
+    )
 
 
 def score_things(
