@@ -77,10 +77,8 @@ def has_gone(client: socket.socket) -> bool:
     """Whether a client has closed its connection and has sent nothing."""
     try:
         return not client.recv(1, socket.MSG_PEEK)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
+    except OSError as error:
+        return not isinstance(error, BlockingIOError)
 
 
 class Gate:
