@@ -120,9 +120,7 @@ def test_what_may_be_wrong_weighs_and_makes_nothing_unique(scans: Path, tmp_path
 def test_refuses_what_cannot_be_meant(
     scans: Path, options: tuple[object, ...], code: int, expected: str
 ) -> None:
-    run = call("localize", WORLD, scans, *options)
-    assert (run.code, run.out) == (code, "")
-    assert expected in run.err
+    call("localize", WORLD, scans, *options).ends(code, expected, out="")
 
 
 def test_what_is_transparent_is_not_white(scans: Path, tmp_path: Path) -> None:
@@ -158,9 +156,7 @@ def test_a_region_may_be_a_jpeg_if_that_is_said(scans: Path, tmp_path: Path) -> 
 
 def test_a_black_region_is_refused(scans: Path, tmp_path: Path) -> None:
     write_bytes_atomic(tmp_path / "black.png", encode_png(np.zeros((140, 200), np.uint8)))
-    run = call("localize", WORLD, scans, "--region", tmp_path / "black.png")
-    assert run.code == 2
-    assert "no white pixel" in run.err
+    call("localize", WORLD, scans, "--region", tmp_path / "black.png").ends(2, "no white pixel")
 
 
 def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path, plain: dict) -> None:
@@ -298,9 +294,7 @@ def test_a_bad_entry_is_built_anew_with_a_warning(scans: Path, tmp_path: Path) -
     good = call("localize", WORLD, scans, "--json", "--cache", folder)
     (entry,) = folder.glob("*.npz")
     entry.write_bytes(entry.read_bytes()[:-100])
-    run = call("localize", WORLD, scans, "--json", "--cache", folder)
-    assert run.code == 0
-    assert "built anew" in run.err
+    run = call("localize", WORLD, scans, "--json", "--cache", folder).ends(0, "built anew")
     assert untimed(run.out) == untimed(good.out)
 
 
