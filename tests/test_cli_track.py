@@ -44,14 +44,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tracked(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     folder = tmp_path_factory.mktemp("out")
-    outputs = (
-        "--tum",
-        folder / "a.tum",
-        "--picture",
-        folder / "a.png",
-        "--video",
-        folder / "a.webm",
-    )
+    outputs = ("--tum", folder / "a.tum", "--picture", folder / "a.png")
+    outputs = (*outputs, "--video", folder / "a.webm")
     run = call("track", MAP, log, "--json", *outputs).ends(0)
     return folder, run.out, run.err
 

@@ -22,14 +22,7 @@ from imgloc.lab.aligned import (
     moved_text,
     read_poses,
 )
-from imgloc.model import (
-    Hypothesis,
-    Localization,
-    OccupancyGrid,
-    Pose2D,
-    compose,
-    inverse,
-)
+from imgloc.model import Hypothesis, Localization, OccupancyGrid, Pose2D, compose, inverse
 
 
 def room() -> np.ndarray:
