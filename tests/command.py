@@ -36,6 +36,12 @@ class Run(NamedTuple):
     out: str
     err: str
 
+    def ends(self, code: int, *said: str, out: str | None = None) -> "Run":
+        """Ends with this code and these words on standard error, and `out`, if given."""
+        assert (self.code, [words for words in said if words not in self.err]) == (code, []), self
+        assert out in (None, self.out)
+        return self
+
 
 def call(*arguments: object) -> Run:
     """Run imgloc's main() here."""

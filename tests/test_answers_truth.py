@@ -26,12 +26,10 @@ def simulated(tmp_path: Path, shift: float) -> Path:
 @pytest.mark.parametrize("shift", [0.0, 2.0])
 def test_poses_that_do_not_fit_the_map_are_not_truth(tmp_path: Path, shift: float) -> None:
     path = simulated(tmp_path, shift)
-    run = call("localize", "curved", path, "--scans-index", 2, "--no-cache")
-    assert run.code == 0
+    run = call("localize", "curved", path, "--scans-index", 2, "--no-cache").ends(0)
     assert ("truth" in run.out) == (shift == 0)
     assert ("so imgloc treats them as odometry" in run.err) == (shift > 0)
-    run = call("track", "curved", path, "--no-cache")
-    assert run.code == 0
+    run = call("track", "curved", path, "--no-cache").ends(0)
     assert ("so imgloc treats them as odometry" in run.err) == (shift > 0)
 
 
@@ -52,8 +50,7 @@ def test_odometry_that_fits_at_one_scan_by_chance_is_not_truth(tmp_path: Path) -
     assert scans.poses is not None
     poses = scans.poses + np.where(np.arange(6) > 0, 2.0, 0.0)[:, None] * (1, 0, 0)
     imgloc.save_scans(tmp_path / "s.npz", ScanSet(scans.scans, poses, np.arange(6.0), poses))
-    run = call("localize", "curved", tmp_path / "s.npz", "--scans-index", 0, "--no-cache")
-    assert run.code == 0
+    run = call("localize", "curved", tmp_path / "s.npz", "--scans-index", 0, "--no-cache").ends(0)
     assert "truth" not in run.out
     assert "so imgloc treats them as odometry" in run.err
 

@@ -254,9 +254,7 @@ def test_bounds_see_the_heading_that_is_known(site: Path) -> None:
 def test_the_command_makes_and_uses_an_index(site: Path) -> None:
     file = site / "index.npz"
     given = ("which", site / "floors")
-    run = call(*given, "--maps-index", file, "--build")
-    assert (run.code, run.out) == (0, "")
-    assert "3 maps" in run.err
+    call(*given, "--maps-index", file, "--build").ends(0, "3 maps", out="")
     given = (*given, site / "s.npz", "--sure", 0.8, "--json")  # two of the three are mirror images
     with_index = call(*given, "--maps-index", file)
     assert with_index == call(*given)
@@ -299,8 +297,7 @@ def test_priors_that_many_maps_share(site: Path) -> None:
 
 
 def test_a_picture_of_the_best_map(site: Path) -> None:
-    run = call("which", site / "floors", site / "s.npz", "--picture", site / "p.png")
-    assert run.code == 0
+    call("which", site / "floors", site / "s.npz", "--picture", site / "p.png").ends(0)
     assert {path.name for path in site.glob("p*.png")} == {"p-0000.png", "p-0001.png"}
     again = call("which", site / "floors", site / "s.npz", "--picture", site / "p.png")
     assert again.code != 0
@@ -311,9 +308,7 @@ def test_bare_images_are_maps_with_a_resolution(site: Path) -> None:
     for path in (site / "floors").glob("*.yaml"):
         path.unlink()
     given = ("which", site / "floors", site / "s.npz", "--json")
-    run = call(*given)
-    assert run.code == 2
-    assert "pass --resolution to use its 3 images as maps" in run.err
+    call(*given).ends(2, "pass --resolution to use its 3 images as maps")
     run = call(*given, "--resolution", 0.1)
     assert {m["map"] for m in rows(run.out)[0]["maps"]} == {"hall", "post", "turned"}
     assert max(rows(run.out)[0]["maps"], key=lambda m: m["probability"])["map"] == "post"

@@ -83,9 +83,7 @@ def test_features_and_answer_have_to_fit_together(folder: Path) -> None:
     assert found is not None
     answer, features = map(int, found.groups())
     assert features > 4
-    each = call(*given, "--memory-budget", f"{answer + 1}M")
-    assert (each.code, each.out) == (2, "")
-    assert "ght-v on" in each.err
+    call(*given, "--memory-budget", f"{answer + 1}M").ends(2, "ght-v on", out="")
     assert call(*given, "--memory-budget", f"{answer + features}M").code == 0
 
 
@@ -94,8 +92,7 @@ def test_which_leaves_out_maps_that_need_more(folder: Path) -> None:
         for name in ("curved", "large"):
             shutil.copy(MAPS / f"{name}{ending}", folder)
     given = ("which", folder, folder.parent / "scans.npz", "--no-cache", "-v")
-    run = call(*given, "--memory-budget", "90M")
-    assert run.code == 5
+    run = call(*given, "--memory-budget", "90M").ends(5)
     assert run.err.count("left out: ") == 1
     assert "large.yaml: fused on 400 x 500 cells of 0.1 m" in run.err
     assert "with features of 400 x 500 cells" in run.err
@@ -121,9 +118,7 @@ def test_an_image_is_refused_by_its_header(image: str, tmp_path: Path) -> None:
 
 def test_a_demo_counts_the_stack_that_it_draws(folder: Path) -> None:
     run = call(*words(DEMO, folder), "--memory-budget", "90M")
-    assert (run.code, run.out) == (2, "")
-    assert "curved: cbml on 130 x 160 cells of 0.1 m" in run.err
-    assert "use another --map" in run.err
+    run.ends(2, "curved: cbml on 130 x 160 cells of 0.1 m", "use another --map", out="")
     assert not list(folder.iterdir())
 
 
@@ -184,16 +179,13 @@ def test_no_command_decodes_an_image_over_the_budget(
 ) -> None:
     folder = sources(damaged_png(11_000))
     before = sorted(folder.iterdir())
-    run = call(*words(command, folder), "--memory-budget", "500M")
-    assert (run.code, run.out) == (2, "")
+    run = call(*words(command, folder), "--memory-budget", "500M").ends(2, out="")
     found = re.search(r"m.png: an image of 11000 x 11000 pixels needs (\d+) MiB of memory", run.err)
     assert found is not None
     assert 700 < int(found[1]) < 2000
     assert "the budget is 500 MiB: crop the map, or raise --memory-budget" in run.err
     assert sorted(folder.iterdir()) == before
-    more = call(*words(command, folder), "--memory-budget", "2000M")
-    assert more.code == 3
-    assert "m.png: damaged PNG data" in more.err
+    call(*words(command, folder), "--memory-budget", "2000M").ends(3, "m.png: damaged PNG data")
 
 
 EACH = """
@@ -274,9 +266,7 @@ def test_no_command_reads_scans_over_the_budget(
         path.write_text("no, number, here\n" * 100_000)
         expected = "a file of up to 100,001 scans and 300,001 numbers needs"
     run = call(*words(command, path), "--memory-budget", "30M", "-v")
-    assert (run.code, run.out) == (2, "")
-    assert f"imgloc: {path}: a file of up to" in run.err
-    assert expected in run.err
+    run.ends(2, f"imgloc: {path}: a file of up to", expected, out="")
     assert run.err.endswith("take fewer scans, in several files, or raise --memory-budget\n")
     assert list(tmp_path.iterdir()) == [path]
     assert call(*words(command, path), "--memory-budget", "3G").code == 4
@@ -309,5 +299,4 @@ def test_a_region_of_another_size_is_not_decoded(sources: Callable[[bytes], Path
     folder = sources(damaged_png(11_000))
     given = ("localize", CURVED, folder / "s.npz", "--no-cache", "--region", folder / "m.png")
     run = call(*given, "--memory-budget", "500M")
-    assert run.code == 2
-    assert "m.png: 11000 x 11000 pixels, expected 160 x 130 as the map" in run.err
+    run.ends(2, "m.png: 11000 x 11000 pixels, expected 160 x 130 as the map")

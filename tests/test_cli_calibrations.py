@@ -76,8 +76,7 @@ def test_a_batch_and_inspect_name_the_calibration(place: Path) -> None:
 
 def test_changes_of_a_map_name_the_calibration(place: Path) -> None:
     calibrate(place / "map.yaml", scale=1.4)
-    run = call("map", "changes", place / "map.yaml", place / "a.npz", "--no-cache")
-    assert run.code == 0, run.err
+    run = call("map", "changes", place / "map.yaml", place / "a.npz", "--no-cache").ends(0)
     (hint,) = advice(run.err)
     assert f"map.calibration.json, whose shared.scale is 1.4. {MENDS}" in hint
 

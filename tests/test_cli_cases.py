@@ -28,8 +28,7 @@ def test_the_image_of_another_machine_lies_beside(image: str, tmp_path: Path) ->
     shutil.copy(MAPS / "curved.png", tmp_path / "a.png")
     (tmp_path / "a.yaml").write_text(f"image: '{image}'\nresolution: 0.1\norigin: [0, 0, 0]\n")
     run = call("map", "check", tmp_path / "a.yaml")
-    assert run.code == 3
-    assert "; a.png lies beside the YAML: write 'image: a.png'" in run.err
+    run.ends(3, "; a.png lies beside the YAML: write 'image: a.png'")
     (tmp_path / "a.png").unlink()
     assert "lies beside" not in call("map", "check", tmp_path / "a.yaml").err
 
@@ -41,18 +40,14 @@ def test_the_image_of_another_machine_lies_beside(image: str, tmp_path: Path) ->
 def test_what_is_no_map_is_told_what_makes_one(name: str, hint: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"some bytes")
     for words in (["map", "check", tmp_path / name], ["localize", tmp_path / name, "a.npz"]):
-        run = call(*words)
-        assert run.code == 3
-        assert hint in run.err
+        run = call(*words).ends(3, hint)
         assert "--resolution" not in run.err
 
 
 @pytest.mark.parametrize("head", [b"#ROSBAG V1.2\n", b"#ROSRECORD V1.1\n"])
 def test_an_old_bag_is_not_called_damaged(head: bytes, tmp_path: Path) -> None:
     (tmp_path / "a.bag").write_bytes(head + bytes(99))
-    run = call("inspect", tmp_path / "a.bag")
-    assert run.code == 4
-    assert "version before 2.0; rosbag fix" in run.err
+    call("inspect", tmp_path / "a.bag").ends(4, "version before 2.0; rosbag fix")
 
 
 def greyed(folder: Path, kind: str) -> Path:
@@ -100,8 +95,7 @@ def test_the_cases_give_what_their_kind_should(
     }  # fmt: skip
     for words, text in said.items():
         words = words.replace(" scans.yaml", " 06-next-command-drops-options/scans.yaml")
-        run = call(*words.split())
-        assert run.code == 0, run
+        run = call(*words.split()).ends(0)
         assert text in run.out
         assert "nan %" not in run.out
         assert "    jump:" not in run.out
@@ -140,9 +134,7 @@ def test_each_cause_of_invalid_has_a_sentence(cause: str, tmp_path: Path) -> Non
     ("localize office.yaml a.npz -o a.json", "> FILE keeps them"),
 ])  # fmt: skip
 def test_a_slip_of_the_command_line_is_told_what_would_do(words: str, hint: str) -> None:
-    run = call(*words.split())
-    assert (run.code, run.out) == (2, "")
-    assert hint in run.err
+    call(*words.split()).ends(2, hint, out="")
 
 
 def test_the_help_has_groups_and_whole_sentences() -> None:
@@ -165,7 +157,5 @@ def test_texts_of_simulators_are_told_what_would_do(
     name: str, text: str, hint: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text(text)
-    run = call("inspect", tmp_path / name)
-    assert run.code == 4
-    assert hint in run.err
+    run = call("inspect", tmp_path / name).ends(4, hint)
     assert "expected a number" not in run.err

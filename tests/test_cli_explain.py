@@ -65,9 +65,7 @@ def test_several_scans_are_numbered_pages(scans: Path, tmp_path: Path) -> None:
 def test_bad_names_are_refused_at_once(
     name: str, code: int, expected: str, scans: Path, tmp_path: Path
 ) -> None:
-    run = call("localize", CURVED, scans, "--explain", tmp_path / name)
-    assert (run.code, run.out) == (code, "")
-    assert expected in run.err
+    call("localize", CURVED, scans, "--explain", tmp_path / name).ends(code, expected, out="")
     assert not list(tmp_path.iterdir())
 
 
@@ -96,8 +94,7 @@ def test_an_invalid_scan_has_a_page_too(tmp_path: Path) -> None:
     path, out = tmp_path / "blind.npz", tmp_path / "why.html"
     blind = LaserScan(np.full(20, np.nan), np.linspace(-1, 1, 20), range_max=10.0)
     save_scans(path, ScanSet((blind,)))
-    run = call("localize", CURVED, path, "--explain", out, "--strict")
-    assert run.code == 6
+    call("localize", CURVED, path, "--explain", out, "--strict").ends(6)
     assert "0 of its 20 readings are valid" in out.read_text(encoding="utf-8")
 
 
@@ -106,8 +103,7 @@ def test_a_real_scan_on_a_real_map_and_on_a_wrong_one(shared: Path, tmp_path: Pa
     for name, verdicts in (("fr079", {"unique"}), ("gh25", {"no-match", "ambiguous"})):
         out = tmp_path / f"{name}.html"
         here = shared / "data" / name / "map.yaml"
-        run = call("localize", here, scans, "--scans-index", 100, "--explain", out, "--no-cache")
-        assert run.code == 0
+        call("localize", here, scans, "--scans-index", 100, "--explain", out, "--no-cache").ends(0)
         page = out.read_text(encoding="utf-8")
         assert any(f"<span class=word>{verdict}</span>" in page for verdict in verdicts)
         assert len(page) < 3_000_000

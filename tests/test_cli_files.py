@@ -61,8 +61,7 @@ def test_a_bundled_map_survives_the_demo(monkeypatch: pytest.MonkeyPatch) -> Non
     before = (MAPS / "curved.png").read_bytes()
     run = call("demo", "--out", MAPS / "curved.png", "--force")
     (MAPS / "curved.png").write_bytes(before)
-    assert run.code == 1
-    assert "is read by this command" in run.err
+    run.ends(1, "is read by this command")
 
 
 def test_another_file_may_be_replaced(office: Path) -> None:

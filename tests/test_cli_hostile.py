@@ -33,9 +33,7 @@ class Case(NamedTuple):
 
 
 def judged(run: Run, name: str, cause: str, code: int) -> None:
-    assert run.code == code, run
-    assert cause in run.err
-    assert name in run.err
+    run.ends(code, cause, name)
     assert run.err.startswith("imgloc: error: ")
     assert run.err.count("\n") == 1
     assert run.err.strip().isprintable()

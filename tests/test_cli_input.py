@@ -82,8 +82,7 @@ def test_several_files_each_with_its_name_and_its_indices(scans: Path, tmp_path:
     assert [(row["parameters"]["scans"], row["index"]) for row in found] == [
         (str(path), k) for path in (scans, again) for k in (0, 1)
     ]
-    bad = call("localize", "curved", scans, tmp_path / "none.npz", OFF)
-    assert (bad.code, bad.out) == (4, "")
+    call("localize", "curved", scans, tmp_path / "none.npz", OFF).ends(4, out="")
 
 
 def test_after_a_run_it_is_said_how_it_went(scans: Path) -> None:
@@ -113,8 +112,7 @@ def test_angles_may_be_degrees(scans: Path) -> None:
     heading = ("--heading", "90deg,10deg", "--json", "--scans-index", 0)
     (row,) = rows(call("localize", "curved", scans, OFF, *heading).out)
     assert row["parameters"]["prior"]["heading"]["theta"] == pytest.approx(np.pi / 2)
-    wrong = call("localize", "curved", scans, "--near", "1deg,2,3")
-    assert wrong.code == 2
+    call("localize", "curved", scans, "--near", "1deg,2,3").ends(2)
     hint = call("localize", "curved", scans, "--near", "1,2,90")
     assert "are these degrees? write 90deg" in hint.err
     turned = call("localize", "curved", scans, "--heading", "400deg")
@@ -175,8 +173,7 @@ def twelve(folder: Path) -> tuple[Path, Path]:
 
 
 def indices(*words: object) -> list[int]:
-    run = call("localize", *words, OFF, "--json", *QUICK)
-    assert run.code == 0, run.err
+    run = call("localize", *words, OFF, "--json", *QUICK).ends(0)
     return [row["index"] for row in rows(run.out)]
 
 
@@ -196,12 +193,10 @@ def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
     (row,) = rows(call(*words, "--scans-index", "2:6").out)
     assert (row["trials"], row["source"]["index"]) == (4, "2:6")
     out = tmp_path / "a.csv"
-    run = call("sample", *both, "--scans-index", "4,6", "-n", 5, "--out", out)
-    assert run.code == 0, run.err
+    call("sample", *both, "--scans-index", "4,6", "-n", 5, "--out", out).ends(0)
     assert [line.split(",")[0] for line in out.read_text().splitlines()[1::5]] == ["4", "6"]
     found = tmp_path / "found"
-    run = call("batch", *both, "--out", found, "--scans-index", "1,5", "--workers", 1, *QUICK)
-    assert run.code == 0, run.err
+    call("batch", *both, "--out", found, "--scans-index", "1,5", "--workers", 1, *QUICK).ends(0)
     assert [a["index"] for a in rows((found / "results.jsonl").read_text())[0]["answers"]] == [1, 5]
 
 
@@ -231,6 +226,4 @@ def test_what_is_no_choice_of_scans_is_said(
     twelve(tmp_path)
     named = {"which": (MAPS, "a.npz"), "evaluate": ("curved",)}
     where = named.get(words[0], ("m.yaml", "a.npz"))
-    run = call(words[0], *where, *words[1:])
-    assert (run.code, run.out) == (2, "")
-    assert expected in run.err
+    call(words[0], *where, *words[1:]).ends(2, expected, out="")

@@ -275,12 +275,10 @@ def test_the_command_to_go_on_with_works(shared: Path, tmp_path: Path, what: str
     file = tmp_path / "a log.npz"
     few = DISTURBED[what].change(scans) if what else scans
     imgloc.save_scans(file, few.take(range(80, 120)))
-    run = call("inspect", place, file)
-    assert run.code == 0
+    run = call("inspect", place, file).ends(0)
     words = shlex.split(run.out.splitlines()[-1].split(None, 1)[1])
     assert words[0] == "imgloc"
-    done = call(*words[1:])
-    assert done.code == 0, done.err
+    done = call(*words[1:]).ends(0)
     verdicts = done.out.count("unique")
     assert verdicts >= (25 if words[1] == "track" else 1)
 
@@ -291,8 +289,7 @@ def test_track_says_the_same_where_it_matters(shared: Path, tmp_path: Path) -> N
         file = tmp_path / f"{len(what)}.npz"
         some = DISTURBED[what].change(scans) if what else scans
         imgloc.save_scans(file, some.take(range(80, 120)))
-        run = call("track", place, file)
-        assert run.code == 0
+        run = call("track", place, file).ends(0)
         assert ("with theta of the odometry negated" in run.err) == said
 
 
@@ -317,12 +314,10 @@ def test_the_command_to_go_on_with_has_what_was_typed(
     file = tmp_path / "a.log"
     file.write_text("\n".join(lines) + "\n")
     typed = typed.format(folder=tmp_path)
-    run = call("inspect", MAPS / "curved.yaml", file, *typed.split())
-    assert run.code == 0, run
+    run = call("inspect", MAPS / "curved.yaml", file, *typed.split()).ends(0)
     commands = [s.split(None, 1)[1] for s in run.out.splitlines() if s.startswith("  next ")]
     for command in commands:
-        done = call(*shlex.split(command)[1:])
-        assert done.code == 0, (command, done.err)
+        call(*shlex.split(command)[1:]).ends(0)
     of_map, of_log = (command.replace("=", " ") for command in commands)
     for one in re.split(r" (?=--)", typed.replace("=", " ")):
         flag = one.split()[0]

@@ -65,8 +65,7 @@ def line_of(run: subprocess.Popen[str], seconds: float = 30.0) -> str:
 def test_each_line_is_answered_before_the_next_one_comes(lines: list[str], tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     path.write_text("".join(lines))
-    whole = call("track", MAP, path, "--json", "--tum", tmp_path / "file.tum")
-    assert whole.code == 0, whole.err
+    whole = call("track", MAP, path, "--json", "--tum", tmp_path / "file.tum").ends(0)
     run, got = started("-", "--json", "--tum", tmp_path / "pipe.tum"), []
     assert run.stdin is not None
     for line in lines:
@@ -134,8 +133,7 @@ def test_scans_without_odometry_are_left_out_and_counted(lines: list[str]) -> No
 )
 def test_refuses(words: tuple[str, ...], text: str, code: int, expected: str) -> None:
     run = followed(text, *words)
-    assert (run.code, run.out) == (code, "")
-    assert expected in run.err
+    run.ends(code, expected, out="")
 
 
 def carmen_of(line: str) -> str:
@@ -154,8 +152,7 @@ def test_a_carmen_log_is_followed_as_it_comes(lines: list[str], tmp_path: Path) 
     log = ["# CARMEN Logfile\n", "PARAM robot_use_laser on\n", *map(carmen_of, lines)]
     path = tmp_path / "run.log"
     path.write_text("".join(log))
-    whole = call("track", MAP, path, "--json")
-    assert whole.code == 0, whole.err
+    whole = call("track", MAP, path, "--json").ends(0)
     run, got = started("-", "--json"), []
     assert run.stdin is not None
     run.stdin.write("".join(log[:2]))
@@ -209,9 +206,7 @@ def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(
 ) -> None:
     text = "".join([*lines[:4], broken + "\n", *lines[4:]])
     run = followed(text, "--json", "--max-bad", "0.2")
-    assert run.code == 0, run.err
-    assert "standard input: line 5: " in run.err
-    assert "the line is left out" in run.err
+    run.ends(0, "standard input: line 5: ", "the line is left out")
     assert run.out == whole  # as if it had not been there
     run = followed(text, "--json")
     assert (run.code, len(rows(run.out))) == (4, 4)
@@ -223,5 +218,4 @@ def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(
 
 def test_a_first_stamp_that_cannot_be_is_named(lines: list[str]) -> None:
     run = followed(json.dumps(json.loads(lines[0]) | {"stamp": 1e300}) + "\n", "--json")
-    assert (run.code, run.out) == (4, "")
-    assert "standard input: stamps[0]: got 1e+300, expected seconds" in run.err
+    run.ends(4, "standard input: stamps[0]: got 1e+300, expected seconds", out="")

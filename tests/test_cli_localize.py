@@ -76,9 +76,7 @@ def test_simulate_writes_what_it_was_asked_for(tmp_path: Path) -> None:
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_simulate_refuses(words: list[str], code: int, expected: str, tmp_path: Path) -> None:
-    run = call("simulate", CURVED, "--out", tmp_path / "s.npz", *words)
-    assert run.code == code
-    assert expected in run.err
+    call("simulate", CURVED, "--out", tmp_path / "s.npz", *words).ends(code, expected)
     assert not list(tmp_path.iterdir())
 
 
@@ -175,8 +173,7 @@ def test_origin_with_a_yaw_moves_every_pose(scans: Path, tmp_path: Path) -> None
 
 
 def test_text_is_a_table_for_one_scan_and_a_line_for_each_of_several(scans: Path) -> None:
-    one = call("localize", CURVED, scans, "--scans-index", 2)
-    assert one.code == 0
+    one = call("localize", CURVED, scans, "--scans-index", 2).ends(0)
     assert one.out.startswith("scan 2: unique\n  pose       x ")
     assert "| 1 | " in one.out
     assert one.out.isascii()
@@ -289,8 +286,7 @@ def test_a_picture_names_map_file_scan_and_verdict_and_has_axes(tmp_path: Path) 
     imgloc.save_scans(tmp_path / "run.npz", scans)
     target = tmp_path / "where.png"
     asked = ("--scans-index", 2, "--picture", target, "--no-cache")
-    run = call("localize", folder / "map.yaml", tmp_path / "run.npz", *asked)
-    assert run.code == 0, run.err
+    call("localize", folder / "map.yaml", tmp_path / "run.npz", *asked).ends(0)
     answer = imgloc.localize(features, scans[2])
     about = {"truth": imgloc.Pose2D(*scans.poses[2]), "title": "attic: run.npz, scan 2"}
     imgloc.draw(features, answer, scans[2], **about).save(tmp_path / "same.png")

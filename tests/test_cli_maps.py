@@ -62,8 +62,7 @@ def test_what_reads_a_map_is_written_into_a_yaml(grey: Path, tmp_path: Path) -> 
 def test_check_and_show_work_without_walls(tmp_path: Path) -> None:
     image = tmp_path / "blank.png"
     image.write_bytes(cv2.imencode(".png", np.full((20, 20), 254, np.uint8))[1].tobytes())
-    check = call("map", "check", image, "--resolution", 0.05)
-    assert check.code == 0
+    check = call("map", "check", image, "--resolution", 0.05).ends(0)
     assert "no-walls" in check.out
     words = ["map", "show", image, "--resolution", 0.05, "--out", tmp_path / "o.png"]
     assert call(*words).code == 0
@@ -129,8 +128,7 @@ def test_show_blurs_as_it_is_told(grey: Path, tmp_path: Path) -> None:
     pictures = set()
     for k, words in enumerate(("", "--sigma 0.1", "--sigma 0.3", "--cell 0.2")):
         out = tmp_path / f"{k}.png"
-        run = call("map", "show", grey, "--what", "bmap", "--out", out, *words.split())
-        assert run.code == 0
+        call("map", "show", grey, "--what", "bmap", "--out", out, *words.split()).ends(0)
         pictures.add(out.read_bytes())
     assert len(pictures) == 3  # 0.1 is the default
 
@@ -143,8 +141,7 @@ def test_the_likelihood_of_a_scan_is_one_command(tmp_path: Path) -> None:
     scans, out = tmp_path / "a.npz", tmp_path / "l.png"
     assert call("simulate", "curved", "-n", 1, "--out", scans).code == 0
     words = ("map", "show", "curved", "--what", "likelihood", "--out", out)
-    run = call(*words, "--scans", scans, "--method", "ght-v")
-    assert (run.code, run.out) == (0, "")
+    call(*words, "--scans", scans, "--method", "ght-v").ends(0, out="")
     picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     assert picture.min() == 0

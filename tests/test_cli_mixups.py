@@ -49,8 +49,7 @@ def test_units_are_recognised_and_mended(
     scans: Path, factor: float, reach: float, hint: str
 ) -> None:
     path = changed(scans, "b.npz", ranges=lambda a: factor * a["ranges"], range_max=reach)
-    run = call("localize", "curved", path, OFF)
-    assert run.code == 0
+    run = call("localize", "curved", path, OFF).ends(0)
     assert re.search(hint, run.err), run.err
     if factor == 0.5:  # the page and the picture of one of them say it, too
         page = path.with_suffix(".html")
@@ -108,27 +107,20 @@ def test_map_and_scans_in_the_wrong_order(scans: Path) -> None:
         ((MAPS / "curved.yaml", MAPS / "curved.png"), 2),
         ((MAPS / "curved.yaml", MAPS / "curved.yaml"), 4),
     ):
-        run = call("localize", *arguments)
-        assert (run.code, run.out) == (code, "")
-        assert order in run.err, run.err
+        call("localize", *arguments).ends(code, order, out="")
 
 
 def test_a_folder_is_named_with_what_is_in_it(scans: Path) -> None:
     run = call("localize", MAPS, scans)
-    assert run.code == 3
-    assert "is a folder, expected a map YAML or image" in run.err
-    assert "in it there is corridor.png" in run.err
-    run = call("localize", "curved", MAPS)
-    assert run.code == 4
-    assert "is a folder, expected a file of scans" in run.err
+    run.ends(3, "is a folder, expected a map YAML or image", "in it there is corridor.png")
+    call("localize", "curved", MAPS).ends(4, "is a folder, expected a file of scans")
 
 
 def test_degrees_are_named_by_their_key(tmp_path: Path) -> None:
     path = tmp_path / "a.jsonl"
     path.write_text('{"ranges": [1, 2, 3], "angle_min": -1.5, "angle_increment": 57.3}\n')
     run = call("localize", "curved", path)
-    assert run.code == 4
-    assert "line 1: angle_increment: got 57.3, expected radians; are these degrees?" in run.err
+    run.ends(4, "line 1: angle_increment: got 57.3, expected radians; are these degrees?")
     path.write_text('{"ranges": [1, 2], "angle_min": -1, "angle_max": 1, "pose": [0, 0, 90]}\n')
     run = call("localize", "curved", path)
     assert "pose: got a theta of 90, expected radians; are these degrees?" in run.err
@@ -142,9 +134,7 @@ def test_a_prior_off_the_map_and_a_missing_image_are_named(scans: Path, tmp_path
     said = (MAPS / "curved.yaml").read_text().replace("curved.png", "gone.png")
     (tmp_path / "m.yaml").write_text(said)
     run = call("localize", tmp_path / "m.yaml", scans, OFF)
-    assert run.code == 3
-    assert "gone.png: no such file; " in run.err
-    assert "m.yaml names it as its image" in run.err
+    run.ends(3, "gone.png: no such file; ", "m.yaml names it as its image")
 
 
 def lines_of(scans: Path, count: int) -> list[str]:
@@ -156,8 +146,7 @@ def lines_of(scans: Path, count: int) -> list[str]:
 
 def test_evaluate_says_at_once_how_scans_are_given(scans: Path) -> None:
     run = call("evaluate", "curved", scans)
-    assert (run.code, run.out) == (2, "")
-    assert f"{scans} is a file of scans, expected a map: pass --scans {scans}" in run.err
+    run.ends(2, f"{scans} is a file of scans, expected a map: pass --scans {scans}", out="")
     assert call("evaluate", "curved", "--scans", scans, "--method", "fused").code == 0
     run = call("evaluate", "curved", "gone.yaml", "-n", "100000")
     assert (run.code, "gone.yaml: no such file" in run.err) == (3, True)
@@ -169,11 +158,9 @@ def test_evaluate_and_batch_end_with_the_lines_that_were_left_out(
     log = tmp_path / "a.jsonl"
     log.write_text("\n".join([*lines_of(scans, 110), '{"ranges": [1,']) + "\n")
     few = ("--sample", 2)
-    run = call("evaluate", "curved", "--scans", log, "--method", "fused", *few)
-    assert run.code == 0
+    run = call("evaluate", "curved", "--scans", log, "--method", "fused", *few).ends(0)
     assert "a.jsonl: left out 1 of 111 lines" in run.err.splitlines()[-1]
-    run = call("batch", MAPS / "curved.yaml", log, "--out", tmp_path / "out", OFF, *few)
-    assert run.code == 0
+    run = call("batch", MAPS / "curved.yaml", log, "--out", tmp_path / "out", OFF, *few).ends(0)
     assert "left out 1 of 111 lines, which are broken" in run.out.splitlines()[-2]
 
 
@@ -194,8 +181,7 @@ def test_a_batch_ends_with_why_items_failed(scans: Path, tmp_path: Path) -> None
     for name in ("a.log", "b.log"):
         (folder / name).write_bytes(b"")
     (folder / "cut.npz").write_bytes(scans.read_bytes()[:200])
-    run = call("batch", MAPS / "curved.yaml", folder, "--out", tmp_path / "out", OFF)
-    assert run.code == 5
+    run = call("batch", MAPS / "curved.yaml", folder, "--out", tmp_path / "out", OFF).ends(5)
     failed = {line for line in run.out.splitlines() if line.startswith("failed")}
     empty = "failed: a.log on curved.yaml and 1 more: the file is empty, expected a scan file"
     assert empty in failed
@@ -258,8 +244,7 @@ def test_numbers_of_an_option_are_named(scans: Path) -> None:
         ("--heading", "north", "1 to 2 numbers with commas between: YAW[,T]"),
         ("--sensor", "1,2", "3 numbers with commas between: X,Y,YAW"),
     ):
-        run = call("localize", "curved", scans, option, given)
-        assert run.code == 2
+        run = call("localize", "curved", scans, option, given).ends(2)
         assert run.err.endswith(f"{option}: got {given!r}, expected {expected}\n")
 
 

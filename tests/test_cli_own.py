@@ -35,8 +35,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_map(folder / "maps" / "post.yaml", grid)
     scans = simulate(grid, 2, 1, Sensor(rays=60, fov=6.0, range_max=9.0))
     save_scans(folder / "scans.npz", ScanSet(scans.scans, poses=scans.poses))
-    run = call("batch", *words(folder), "--pictures", "all")
-    assert run.code == 0, run.err
+    call("batch", *words(folder), "--pictures", "all").ends(0)
     return folder
 
 
@@ -193,15 +192,13 @@ def test_a_folder_that_is_no_batch_is_a_slip(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     for use in (["report"], ["export"], ["map", "changes", "curved"]):
         given = call(*use, tmp_path / "logs")
-        assert given.code == 2
-        assert "logs: no run.json, expected a folder of results of 'imgloc batch'" in given.err
+        given.ends(2, "logs: no run.json, expected a folder of results of 'imgloc batch'")
 
 
 @pytest.mark.parametrize("use", [["report"], ["export"], ["export", "--format", "parquet"]])
 def test_a_folder_that_is_not_there_is_a_slip(use: list[str], tmp_path: Path) -> None:
     given = call(*use, tmp_path / "logs")
-    assert given.code == 2
-    assert "logs: no such folder, expected a folder of results of 'imgloc batch'" in given.err
+    given.ends(2, "logs: no such folder, expected a folder of results of 'imgloc batch'")
 
 
 def test_a_missing_cost_is_no_defect(folder: Path) -> None:
@@ -247,8 +244,7 @@ def test_no_cell_of_the_table_is_a_formula(folder: Path) -> None:
     (folder / "scans").mkdir()
     for name in ("=1+1.npz", "@SUM(1).npz", "\tx.npz"):
         shutil.copy(folder / "scans.npz", folder / "scans" / name)
-    run = call("batch", folder / "maps", folder / "scans", "--out", folder / "new")
-    assert run.code == 0, run.err
+    call("batch", folder / "maps", folder / "scans", "--out", folder / "new").ends(0)
     assert call("export", folder / "new").code == 0
     with (folder / "new" / "results.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
@@ -269,8 +265,7 @@ def test_a_message_of_megabytes_is_not_written_for_each_answer(folder: Path) -> 
     rows[0]["message"] = "x" * 1_000_000
     rows[0]["answers"] *= 25
     path.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    run = call("export", folder / "out")
-    assert run.code == 0, run.err
+    call("export", folder / "out").ends(0)
     assert (folder / "out" / "results.csv").stat().st_size < 60 * 6000
 
 
@@ -342,8 +337,7 @@ def test_a_damaged_calibration_beside_a_map_is_a_warning(folder: Path, value: st
     text = '{"format": 1, "map_hash": "a", "methods": {}, "shared": {"scale": 1, "thinner": HERE}}'
     path.write_text(text.replace("HERE", value))
     words = ["localize", folder / "maps" / "post.yaml", folder / "scans.npz", "--scans-index", 0]
-    run = call(*words, "--method", "cbml", "--cell", 0.2, "--no-cache")
-    assert run.code == 0
+    run = call(*words, "--method", "cbml", "--cell", 0.2, "--no-cache").ends(0)
     (line,) = run.err.splitlines()
     assert "post.calibration.json: ignored, the defaults are used: is no calibration: " in line
 
@@ -353,8 +347,7 @@ def test_a_damaged_calibration_beside_a_map_is_a_warning(folder: Path, value: st
 
 def build(folder: Path) -> Path:
     index = folder / "index.npz"
-    run = call("which", folder / "maps", "--maps-index", index, "--build", "--no-cache")
-    assert run.code == 0, run.err
+    call("which", folder / "maps", "--maps-index", index, "--build", "--no-cache").ends(0)
     return index
 
 

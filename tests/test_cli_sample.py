@@ -24,8 +24,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def drawn(*words: object) -> np.ndarray:
-    run = call("sample", *words)
-    assert (run.code, run.out) == (0, "")
+    call("sample", *words).ends(0, out="")
     out = Path(str(words[words.index("--out") + 1]))
     assert out.read_text().startswith("scan,x,y,theta\n")
     return np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
@@ -95,9 +94,7 @@ def test_a_scan_that_says_nothing_may_be_from_anywhere(method: str, tmp_path: Pa
 def test_refuses(
     scans: Path, tmp_path: Path, words: list[object], code: int, expected: str
 ) -> None:
-    run = call("sample", CURVED, scans, "--out", tmp_path / "a.csv", *words)
-    assert (run.code, run.out) == (code, "")
-    assert expected in run.err
+    call("sample", CURVED, scans, "--out", tmp_path / "a.csv", *words).ends(code, expected, out="")
     assert not list(tmp_path.iterdir())
 
 
@@ -113,8 +110,7 @@ def test_an_invalid_scan_is_drawn_from_everywhere_and_said_so(
     data["ranges"][0, 9:] = np.nan  # nine readings are left
     np.savez(tmp_path / "nine.npz", **data)
     words = ("--method", method, "-n", 300, "--out")
-    run = call("sample", CURVED, tmp_path / "nine.npz", *words, tmp_path / "a.csv")
-    assert run.code == 0
+    run = call("sample", CURVED, tmp_path / "nine.npz", *words, tmp_path / "a.csv").ends(0)
     assert run.err.count("too few readings") == 1
     assert "scan 0: invalid, too few readings" in run.err
     poses = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)[:300, 1:]

@@ -213,8 +213,7 @@ def test_odometry_that_starts_late_costs_only_the_scans_before_it(
     got = load_scans(path)
     assert len(got) == N  # nothing is lost to those who need no odometry
     assert np.isfinite(got.odom).all(axis=1).tolist() == [False] * 3 + [True] * 3
-    run = call("track", MAP, path, "--json", "--picture", tmp_path / "track.png")
-    assert run.code == 0, run.err
+    run = call("track", MAP, path, "--json", "--picture", tmp_path / "track.png").ends(0)
     assert [row["index"] for row in rows(run.out)] == [3, 4, 5]
     said = "3 of 6 scans, from 0 to 2, have no odometry and are left out"
     assert run.err.count(said) == 1
@@ -312,8 +311,7 @@ def test_a_limit_of_the_cache_that_is_no_number_is_refused(
         call("batch", MAP, log, "--out", tmp_path / "out"),
         call("cache"),
     ):
-        assert run.code == 2
-        assert "IMGLOC_CACHE_MIB: got 'abc', expected a whole number of MiB, such as" in run.err
+        run.ends(2, "IMGLOC_CACHE_MIB: got 'abc', expected a whole number of MiB, such as")
     assert call("localize", MAP, log, "--scans-index", 0, "--no-cache").code == 0
     monkeypatch.setenv("IMGLOC_CACHE_MIB", "3")
     assert cache_limit() == 3 << 20

@@ -44,16 +44,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def tracked(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     folder = tmp_path_factory.mktemp("out")
-    outputs = (
-        "--tum",
-        folder / "a.tum",
-        "--picture",
-        folder / "a.png",
-        "--video",
-        folder / "a.webm",
-    )
-    run = call("track", MAP, log, "--json", *outputs)
-    assert run.code == 0, run.err
+    outputs = ("--tum", folder / "a.tum", "--picture", folder / "a.png")
+    outputs = (*outputs, "--video", folder / "a.webm")
+    run = call("track", MAP, log, "--json", *outputs).ends(0)
     return folder, run.out, run.err
 
 
@@ -72,8 +65,7 @@ def test_a_row_for_each_scan_with_the_promised_keys(tracked: tuple[Path, str, st
 
 
 def test_walls_that_are_allowed_for_are_told(log: Path) -> None:
-    run = call("track", MAP, log, "--json", "--thinner", "0.1", "--bent", "0.15")
-    assert run.code == 0, run.err
+    run = call("track", MAP, log, "--json", "--thinner", "0.1", "--bent", "0.15").ends(0)
     told = {(row["scale"], row["thinner"], row["bent"]) for row in rows(run.out)}
     assert told == {(1.0, 0.1, 0.15)}
     assert "walls 0.10 m thinner on each side and pieces of wall 0.15 m off" in run.err
@@ -124,8 +116,7 @@ def test_the_errors_against_a_true_trajectory_are_those_of_evo(
         lines.append(f"{stamp + 0.004:.6f} {x:.9f} {y:.9f} 0 {q}")
     (tmp_path / "t.tum").write_text("\n".join(lines) + "\n")
     outputs = ("--truth", tmp_path / "t.tum", "--picture", tmp_path / "a.png")
-    run = call("track", MAP, log, *outputs)
-    assert run.code == 0, run.err
+    run = call("track", MAP, log, *outputs).ends(0)
     ape = np.hypot(*(poses - true)[:, :2].T)
 
     def matrix(p: FloatArray) -> FloatArray:
@@ -175,19 +166,16 @@ def test_a_quaternion_that_is_no_rotation_is_named(
 def test_a_trajectory_that_meets_no_unique_pose_is_said_to(log: Path, tmp_path: Path) -> None:
     scans, path = load_scans(log), tmp_path / "t.tum"
     path.write_text(f"{scans.stamps[0]:.6f} 4 8 0 0 0 0 1\n")  # where the robot is not unique yet
-    run = call("track", MAP, log, "--truth", path)
-    assert run.code == 0
+    run = call("track", MAP, log, "--truth", path).ends(0)
     assert re.search(r"no errors: \d+ poses are unique and 1 true poses are known, but", run.err)
     with np.load(log) as held:
         np.savez(tmp_path / "b.npz", **{k: v for k, v in held.items() if k != "stamps"})
     run = call("track", MAP, tmp_path / "b.npz", "--truth", path)
-    assert (run.code, run.out) == (2, "")
-    assert "--truth: the log has no stamps" in run.err
+    run.ends(2, "--truth: the log has no stamps", out="")
 
 
 def test_lines_for_people(log: Path) -> None:
-    run = call("track", MAP, log, "--start", "4,8,0", "--every", "5,90", "--no-cache")
-    assert run.code == 0
+    run = call("track", MAP, log, "--start", "4,8,0", "--every", "5,90", "--no-cache").ends(0)
     lines = run.out.splitlines()
     assert "verdict" in lines[0]
     assert len(lines) == N + 1
@@ -197,8 +185,7 @@ def test_lines_for_people(log: Path) -> None:
 def test_the_best_guess_is_marked_in_every_output(log: Path, tmp_path: Path) -> None:
     tum, ros = tmp_path / "a.tum", tmp_path / "a.yaml"
     words = ("--every", "0.4,90", "--best", "--no-cache")
-    run = call("track", MAP, log, *words, "--json", "--tum", tum, "--ros", ros)
-    assert run.code == 0, run.err
+    run = call("track", MAP, log, *words, "--json", "--tum", tum, "--ros", ros).ends(0)
     got = rows(run.out)
     guessed = [row for row in got if row["guess"]]
     assert 0 < len(guessed) < N
@@ -261,8 +248,7 @@ def test_a_blind_robot_gives_no_pose(
     tmp_path: Path, ranges: Callable[[FloatArray], object], carried: bool
 ) -> None:
     path = in_the_dark(tmp_path, ranges, carried=carried)
-    run = call("track", MAP, path, "--json", "--tum", tmp_path / "a.tum")
-    assert run.code == 0, run.err
+    run = call("track", MAP, path, "--json", "--tum", tmp_path / "a.tum").ends(0)
     got, truth = rows(run.out), load_scans(path).poses
     assert got[DARK.start - 1]["verdict"] == "unique"
     blind = [got[k] for k in DARK]
@@ -288,8 +274,7 @@ def test_a_blind_robot_gives_no_pose(
 
 
 def test_a_pose_is_as_sure_as_was_asked_for(log: Path) -> None:
-    run = call("track", MAP, log, "--json", "--max-sd", "0.02,10")
-    assert run.code == 0, run.err
+    run = call("track", MAP, log, "--json", "--max-sd", "0.02,10").ends(0)
     assert {row["withheld"] for row in rows(run.out)} == {"unconfirmed", "wide"}
     assert not any(row["pose"] for row in rows(run.out))
     assert "wide" not in call("track", MAP, log, "--max-sd", "2,10").out
@@ -303,8 +288,7 @@ def test_what_was_calibrated_for_the_map_is_used(log: Path, tmp_path: Path) -> N
     short = tuple(scan.scaled(0.88) for scan in recorded.scans)
     save_scans(tmp_path / "short.npz", replace(recorded, scans=short))
     save_calibrations(calibration_path(here), load_map(here), {}, {}, shared=Shared(1 / 0.88))
-    run = call("track", here, tmp_path / "short.npz", "--json")
-    assert run.code == 0, run.err
+    run = call("track", here, tmp_path / "short.npz", "--json").ends(0)
     last = rows(run.out)[-1]
     assert last["verdict"] == "unique"
     assert abs(last["pose"]["x"] - (4 + 0.5 * (N - 1))) < 0.15
@@ -335,9 +319,7 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
     ids=str,
 )
 def test_refuses(log: Path, words: list[str], code: int, expected: str) -> None:
-    run = call("track", MAP, log, *words)
-    assert (run.code, run.out) == (code, "")
-    assert expected in run.err
+    call("track", MAP, log, *words).ends(code, expected, out="")
 
 
 def test_scans_alone_tell_the_motion_of_a_log_without_odometry(log: Path, tmp_path: Path) -> None:
@@ -346,8 +328,7 @@ def test_scans_alone_tell_the_motion_of_a_log_without_odometry(log: Path, tmp_pa
     bare = tmp_path / "bare.npz"
     np.savez(bare, **data)
     run = call("track", MAP, bare)
-    assert run.code == 0, run.err
-    assert "bare.npz: it has no odometry that moves, so the scans alone tell the motion" in run.err
+    run.ends(0, "bare.npz: it has no odometry that moves, so the scans alone tell the motion")
     asked = call("track", MAP, log, "--odom", "scans")
     assert (asked.code, asked.out) == (0, run.out)
 
@@ -356,8 +337,7 @@ def test_odometry_in_millimetres_is_refused(log: Path, tmp_path: Path) -> None:
     data = dict(np.load(log))
     data["odom"] = data["odom"] * (1000, 1000, 1)
     np.savez(tmp_path / "mm.npz", **data)
-    run = call("track", MAP, tmp_path / "mm.npz")
-    assert (run.code, run.out) == (4, "")
+    run = call("track", MAP, tmp_path / "mm.npz").ends(4, out="")
     assert re.search(r"mm.npz: odom: it says [45]\d\d(.\d)? m/s, .* millimetres", run.err)
 
 
@@ -388,8 +368,7 @@ def test_a_true_trajectory_is_read_first_and_never_overwritten(tmp_path: Path, l
     truth = tmp_path / "t.tum"
     truth.write_text("1e9 0 0 0 0 0 0 1\n")
     run = call("track", MAPS / "visibility.yaml", log, "--truth", truth, "--tum", truth, "--force")
-    assert run.code == 1
-    assert "will not be overwritten" in run.err
+    run.ends(1, "will not be overwritten")
     assert truth.read_text() == "1e9 0 0 0 0 0 0 1\n"
     run = call("track", MAPS / "visibility.yaml", log, "--truth", truth)
     assert (run.code, run.out) == (4, "")  # before the log is followed
@@ -404,6 +383,5 @@ def test_a_filter_that_is_never_sure_on_a_map_says_so(shared: Path, tmp_path: Pa
     plan = shared / "data/wean/map.yaml"
     told = "the walls of this map are drawn 0.5 m thick, so no pose of --filter particle is unique"
     for options, warned in ((), True), (("--bent", "0.1"), False):
-        run = call("track", plan, tmp_path / "log.npz", "--filter", "particle", *options)
-        assert run.code == 0, run.err
+        run = call("track", plan, tmp_path / "log.npz", "--filter", "particle", *options).ends(0)
         assert (told in run.err) == warned

@@ -38,9 +38,7 @@ def place(shared: Path) -> OccupancyGrid:
 def followed(place: OccupancyGrid, scans: ScanSet, folder: Path, *options: object) -> Run:
     imgloc.save_map(folder / "map.yaml", place, force=True)
     imgloc.save_scans(folder / "log.npz", scans, force=True)
-    run = call("track", folder / "map.yaml", folder / "log.npz", "--json", *options)
-    assert run.code == 0, run.err
-    return run
+    return call("track", folder / "map.yaml", folder / "log.npz", "--json", *options).ends(0)
 
 
 def hints(run: Run) -> list[str]:

@@ -25,11 +25,9 @@ def test_walls_are_stated_by_hand_in_metres(thick: Path) -> None:
     assert row["verdict"] == "unique"
     assert "calibrate" not in run.err  # there is nothing left to find
     run = call("track", *files, "--thinner", 0.2)
-    assert run.code == 0, run.err
-    assert "allows for walls 0.20 m thinner on each side;" in run.err
+    run.ends(0, "allows for walls 0.20 m thinner on each side;")
     assert run.err.count("thinner") == 1  # no advice
-    run = call("batch", files[0], files[1], "--thinner", 0.2, "--out", thick / "out", "--json")
-    assert run.code == 0, run.err
+    call("batch", files[0], files[1], "--thinner", 0.2, "--out", thick / "out", "--json").ends(0)
     (found,) = rows((thick / "out" / "results.jsonl").read_text())
     assert all(a["evidence"]["thinner"] == pytest.approx(0.2) for a in found["answers"])
 
@@ -44,9 +42,7 @@ def test_walls_are_stated_by_hand_in_metres(thick: Path) -> None:
     ],
 )
 def test_walls_that_cannot_be_are_refused(thick: Path, words: list[object], expected: str) -> None:
-    run = call("localize", thick / "map.yaml", thick / "log.npz", *words)
-    assert (run.code, run.out) == (2, "")
-    assert expected in run.err
+    call("localize", thick / "map.yaml", thick / "log.npz", *words).ends(2, expected, out="")
 
 
 def test_localize_and_track_say_that_a_map_has_aged(tmp_path: Path) -> None:
@@ -56,8 +52,7 @@ def test_localize_and_track_say_that_a_map_has_aged(tmp_path: Path) -> None:
     files = drawn(tmp_path, before) / "map.yaml", tmp_path / "log.npz"
     said = r"the map has aged: (\d+) % of the walls that scans at sure poses look at are gone"
     for command in ("localize", "track"):
-        run = call(command, *files)
-        assert run.code == 0, run.err
+        run = call(command, *files).ends(0)
         share = int(re.findall(said, " ".join(run.err.split()))[0])
         assert 5 <= share <= 15
         assert "aged" not in call(command, MAPS / "visibility.yaml", files[1]).err

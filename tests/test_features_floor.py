@@ -114,8 +114,7 @@ def tilted() -> tuple[imgloc.OccupancyGrid, imgloc.ScanSet]:
 def test_a_tilted_laser_is_located_and_the_floor_is_named(tilted, tmp_path) -> None:
     _, scans = tilted
     imgloc.save_scans(tmp_path / "tilted.npz", scans)
-    run = call("localize", MAPS / "large.yaml", tmp_path / "tilted.npz", "--json")
-    assert run.code == 0, run.err
+    run = call("localize", MAPS / "large.yaml", tmp_path / "tilted.npz", "--json").ends(0)
     found = rows(run.out)
     floored = [row for row in found if row["evidence"]["floor"] > 0]
     assert len(floored) >= 4

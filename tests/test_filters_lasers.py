@@ -81,12 +81,10 @@ def carmen(path: Path) -> Path:
 def test_two_lasers_find_what_one_does_not(tmp_path: Path) -> None:
     path, last = carmen(tmp_path / "a.log"), tuple(PATH[-1])
     words = ("track", MAPS / "visibility.yaml", path, "--json", "--no-cache", "--every", "0.4,30")
-    front = call(*words)
-    assert front.code == 0, front.err
+    front = call(*words).ends(0)
     assert len(rows(front.out)) == len(PATH)
     assert not any(row["verdict"] == "unique" for row in rows(front.out))
-    both = call(*words, "--topic", "FLASER,RLASER")
-    assert both.code == 0, both.err
+    both = call(*words, "--topic", "FLASER,RLASER").ends(0)
     got = rows(both.out)
     assert len(got) == 2 * len(PATH)
     assert [row["looked"] for row in got[:4]] == [True] * 4
@@ -94,9 +92,7 @@ def test_two_lasers_find_what_one_does_not(tmp_path: Path) -> None:
     metres, radians = error(Pose2D(**got[-1]["pose"]), last)
     assert metres < 0.1
     assert radians < 0.05
-    refused = call(*words, "--topic", "FLASER,RLASER", "--sensor", "0.1,0,0")
-    assert refused.code == 2
-    assert "several lasers" in refused.err
+    call(*words, "--topic", "FLASER,RLASER", "--sensor", "0.1,0,0").ends(2, "several lasers")
 
 
 @pytest.mark.parametrize("name", ["tracker", "particle", "grid"])

@@ -208,9 +208,7 @@ def test_a_bag_that_was_cut_off_is_told_what_may_save_it(
     file = path if kind == "bag" else next(path.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[:-300])
     run = call("localize", MAPS / "curved.yaml", file)
-    assert (run.code, run.out) == (4, "")
-    assert "damaged or not a bag" in run.err
-    assert f"; {saves} may save what is in it" in run.err
+    run.ends(4, "damaged or not a bag", f"; {saves} may save what is in it", out="")
 
 
 @pytest.mark.parametrize("name", ["upload", "A.BAG"])
@@ -307,8 +305,7 @@ def test_a_slice_of_a_cloud_is_a_scan(tmp_path: Path, kind: str) -> None:
     with pytest.raises(ScanError, match="no point 7 to 8 m above the sensor"):
         load_scans(path, height=(7, 8))
     bad = call("localize", "curved", path, "--height", "1,-1", "--no-cache")
-    assert bad.code == 2
-    assert "--height: got 1,-1, expected a lower end first" in bad.err
+    bad.ends(2, "--height: got 1,-1, expected a lower end first")
 
 
 @pytest.mark.parametrize("how", ["ascii", "binary"])
@@ -352,16 +349,14 @@ def test_a_map_in_a_bag_is_a_map(tmp_path: Path) -> None:
     assert (found.occupied == grid.occupied).all()
     assert found.origin == grid.origin
     assert call("simulate", "curved", "-n", 1, "--out", tmp_path / "a.npz").code == 0
-    run = call("localize", path, tmp_path / "a.npz", "--json", "--no-cache")
-    assert run.code == 0, run.err
+    run = call("localize", path, tmp_path / "a.npz", "--json", "--no-cache").ends(0)
     (row,) = rows(run.out)
     (twin,) = rows(call("localize", "curved", tmp_path / "a.npz", "--json", "--no-cache").out)
     assert row["pose"]["x"] == pytest.approx(twin["pose"]["x"], abs=1e-6)
     write(tmp_path / "none", "mcap", [("/scan", SCAN, m.scan(2.0))])
     (none,) = (tmp_path / "none").glob("*.mcap")
     run = call("localize", none, tmp_path / "a.npz", "--no-cache")
-    assert run.code == 3
-    assert "no map on /map: expected a map, then scans" in run.err
+    run.ends(3, "no map on /map: expected a map, then scans")
 
 
 def test_empty_scans_of_a_bag_are_left_out(tmp_path: Path, caplog, monkeypatch) -> None:

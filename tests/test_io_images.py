@@ -17,13 +17,7 @@ from PIL import Image
 import imgloc
 from imgloc.errors import MapError
 from imgloc.io.files import display
-from imgloc.io.images import (
-    IMAGE_ENDINGS,
-    LOSSY_ENDINGS,
-    decode_image,
-    image_size,
-    read_image,
-)
+from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS, decode_image, image_size, read_image
 
 EXIF_ROTATED = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 PALETTE = chunk(b"PLTE", bytes([0, 255, 0, 9, 8, 7]))

@@ -82,12 +82,10 @@ def test_an_address_is_read_as_the_file_that_it_names(form: str, address: str, t
 def test_a_list_names_files_beside_it_and_elsewhere(
     address: str, there: Path, tmp_path: Path
 ) -> None:
-    run = call("batch", f"{address}/pairs.csv", "--out", tmp_path / "a", "--workers", 1)
-    assert run.code == 0, run
+    call("batch", f"{address}/pairs.csv", "--out", tmp_path / "a", "--workers", 1).ends(0)
     pairs = f"map,scans\n{address}/a.yaml,zip://in/a.npz::{there}/all.zip\n"
     (tmp_path / "here.csv").write_text(pairs)
-    run = call("batch", tmp_path / "here.csv", "--out", tmp_path / "b", "--workers", 1)
-    assert run.code == 0, run
+    call("batch", tmp_path / "here.csv", "--out", tmp_path / "b", "--workers", 1).ends(0)
 
 
 @pytest.mark.parametrize(("name", "why"), [

@@ -43,13 +43,7 @@ from imgloc.runs.opening import ScanFiles
 
 SHOWN = (Chosen, Drawn, Every, Followed, Known, Limits, Logs, Mounting, Sensor)
 KINDS = (Bending, Calibration, EvidenceModel, FusedOptions, Hint, Options, Prior, Shared, Trust)
-OTHERS = (
-    GridOptions,
-    MotionNoise,
-    ParticleOptions,
-    TrackerOptions,
-    ScanFiles,
-)
+OTHERS = (GridOptions, MotionNoise, ParticleOptions, TrackerOptions, ScanFiles)
 
 
 @pytest.mark.parametrize(

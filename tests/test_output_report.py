@@ -98,9 +98,7 @@ def test_a_page_is_one_file(folder: Path) -> None:
 
 def test_what_is_no_folder_of_results_is_an_error(tmp_path: Path) -> None:
     for command in ("report", "export"):
-        run = call(command, tmp_path)
-        assert run.code == 2
-        assert "expected a folder of results of 'imgloc batch'" in run.err
+        call(command, tmp_path).ends(2, "expected a folder of results of 'imgloc batch'")
         assert not list(tmp_path.iterdir())
 
 

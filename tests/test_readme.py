@@ -81,8 +81,7 @@ def test_every_command_of_the_readme_runs_as_it_is_written(
         line, _, read = line.partition(" < ")
         if read:
             monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(Path(read).read_bytes())))
-        run = call(*shlex.split(line))
-        assert run.code == 0, (line, run.err)
+        call(*shlex.split(line)).ends(0)
     for name in ("where.png", "why.html", "heat.png", "atlas.png", "floors.npz", "sim.npz",
                  "particles.csv", "out.tum", "track.png", "found/report.html",
                  "found/results.csv"):  # fmt: skip
@@ -176,8 +175,7 @@ def test_an_example_of_each_command_runs() -> None:
     assert len(EXAMPLES) >= 15
     for name, lines in EXAMPLES.items():
         words = shlex.split(lines[0].partition(" < ")[0].partition(" > ")[0])[1:]
-        run = call(*words, *_enough(name))
-        assert run.code == 0, (lines[0], run.err)
+        call(*words, *_enough(name)).ends(0)
 
 
 def _enough(command: str) -> list[str]:

@@ -171,8 +171,7 @@ def test_the_second_run_names_the_first(site: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with Results(out, {"job": "localize", "parameters": {}}):
         run = call("batch", site / "floors", site / "scans", "--out", out)
-        assert run.code == 1
-        assert f"another run writes here, process {os.getpid()}" in run.err
+        run.ends(1, f"another run writes here, process {os.getpid()}")
     assert (out / LOCK).exists()
     assert in_threads(site, out, resume=True).new == 6
 
@@ -414,8 +413,7 @@ def test_an_option_that_the_job_would_not_notice_is_refused(
     scans = [] if job == "check" else [site / "scans"]
     out = tmp_path / "out"
     run = call("batch", site / "floors", *scans, "--job", job, "--out", out, *words, "--dry-run")
-    assert (run.code, run.out) == (2, "")
-    assert said in run.err
+    run.ends(2, said, out="")
 
 
 def test_units_and_lasers_of_all_files(site: Path, tmp_path: Path) -> None:
@@ -479,9 +477,7 @@ def test_a_place_is_known_of_one_map(site: Path, tmp_path: Path) -> None:
     for name in "ab":
         save_map(floors / f"{name}.yaml", room_with_a_post())
     words = ["batch", floors, site / "scans", "--out", tmp_path / "out", "--near", "1,2,0"]
-    run = call(*words, "--dry-run")
-    assert run.code == 2
-    assert "--near: is about one map, not about 2" in run.err
+    call(*words, "--dry-run").ends(2, "--near: is about one map, not about 2")
 
 
 @pytest.mark.parametrize("name", JOBS)

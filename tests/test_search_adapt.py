@@ -16,14 +16,7 @@ from imgloc.options import Drawn, FusedOptions, Options, Sensor, Shared
 from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
 from imgloc.pipeline import localize
-from imgloc.search.adapt import (
-    BENT,
-    adapt,
-    drawn_gain,
-    drawn_walls,
-    wall_evidence,
-    walls_of,
-)
+from imgloc.search.adapt import BENT, adapt, drawn_gain, drawn_walls, wall_evidence, walls_of
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import score_readings
 from imgloc.simulation.scans import simulate

@@ -168,8 +168,7 @@ def test_the_command_takes_the_speed(tmp_path) -> None:
     levels = [level["metres"] for level in json.loads(out.out)["protection"]]
     assert all(metres is None or metres <= diagonal for metres in levels)
     assert None in levels
-    out = call("batch", place, tmp_path / "a.npz", "--out", tmp_path / "o", *how)
-    assert out.code == 0, out.err
+    call("batch", place, tmp_path / "a.npz", "--out", tmp_path / "o", *how).ends(0)
     (row,) = [
         json.loads(line) for line in (tmp_path / "o" / "results.jsonl").read_text().splitlines()
     ]
@@ -206,8 +205,7 @@ def test_what_is_not_straightened_is_counted(tmp_path, caplog) -> None:
     (tmp_path / "a.jsonl").write_text('{"ranges": [1, 2], "angles": [0, 1], "odom": [0, 0, 0]}\n')
     grows = (tmp_path / "a.jsonl", "--follow", "--straighten", "forward")
     run = call("track", MAPS / "curved.yaml", *grows)
-    assert run.code == 2
-    assert "--straighten: needs the odometry of a whole log" in run.err
+    run.ends(2, "--straighten: needs the odometry of a whole log")
 
 
 def test_a_sweep_that_takes_longer_than_any_sensor_is_refused(tmp_path) -> None:

@@ -390,11 +390,8 @@ PAIR_HEADINGS = 36
 
 def stack_cases(features: MapFeatures, scan: LaserScan, threads: int) -> list[Case]:
     """The stacks of CBML and CBML-O by every engine, and plain references."""
-    thetas, cell, xy = (
-        uniform_thetas(2 * np.pi / HEADINGS),
-        features.lattice.resolution,
-        scan_xy(scan)[scan.valid],
-    )
+    thetas, xy = uniform_thetas(2 * np.pi / HEADINGS), scan_xy(scan)[scan.valid]
+    cell = features.lattice.resolution
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     image, vmap = features.bmap, features.vmap
     out = np.empty((HEADINGS, *image.shape), np.float32)

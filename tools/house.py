@@ -36,8 +36,8 @@ LONG = 60  # lines of code of a function, without what its signature declares
 LIMITS: Mapping[str, tuple[int, int]] = {
     "code of imgloc": (31_150, 20_000),
     "code of lab and plans": (5_411, 3_700),
-    "code of tools": (9_100, 8_000),
-    "code of tests": (29_866, 26_000),
+    "code of tools": (9_095, 8_000),
+    "code of tests": (29_690, 26_000),
     f"functions of more than {LONG} lines": (0, 0),
     "modules of imgloc that a file imports, median": (6, 6),
     "arrows back up": (0, 0),

@@ -110,8 +110,7 @@ def test_maps_that_share_a_fit(office: Path) -> None:
 )
 def test_refuses(office: Path, words: list[str], code: int, expected: str) -> None:
     given = [str(office) if w == "MAP" else w for w in words]
-    run = call("calibrate", office, *given)
-    assert (run.code, run.out) == (code, "")
+    run = call("calibrate", office, *given).ends(code, out="")
     assert expected in " ".join(run.err.split())
     assert not office.with_name("curved.calibration.json").exists()
 
@@ -128,9 +127,7 @@ def test_other_methods_keep_their_fits(office: Path) -> None:
 
 def test_nothing_is_kept_among_the_files_of_the_program_by_name() -> None:
     run = call("calibrate", "curved", *QUICK)
-    assert (run.code, run.out) == (2, "")
-    assert str(MAPS / "curved.calibration.json") in run.err
-    assert "--dry-run" in run.err
+    run.ends(2, str(MAPS / "curved.calibration.json"), "--dry-run", out="")
     assert not (MAPS / "curved.calibration.json").exists()
     assert call("calibrate", "curved", *QUICK, "--dry-run").code == 0
 
@@ -177,12 +174,10 @@ def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
 def test_scans_from_elsewhere_say_nothing(office: Path) -> None:
     scans = office.with_name("scans.csv")
     scans.write_text("".join(f"{0.1 * k},{1 + 0.1 * (k % 3)}\n" for k in range(-15, 16)))
-    run = call("calibrate", office, "--scans", scans)
-    assert (run.code, run.out) == (2, "")
+    run = call("calibrate", office, "--scans", scans).ends(2, out="")
     assert "of 1 scans fit this map at one place, expected at least 5" in " ".join(run.err.split())
     run = call("calibrate", office, MAPS / "visibility.yaml", "--scans", scans)
-    assert (run.code, run.out) == (2, "")
-    assert "--scans: expected one MAP" in run.err
+    run.ends(2, "--scans: expected one MAP", out="")
     assert not office.with_name("curved.calibration.json").exists()
 
 
@@ -196,8 +191,7 @@ def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
     some = load_scans(shared / "data" / "fr079" / "scans.npz").take([5, 28, 99, 147, 150, 163, 170])
     stretched = tuple(replace(scan, ranges=1.07 * scan.ranges) for scan in some.scans)
     save_scans(tmp_path / "a.npz", replace(some, scans=stretched))
-    run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache")
-    assert run.code == 0
+    run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache").ends(0)
     named = sum(line.split()[1] == "fr079" for line in run.out.splitlines()[1:])
     assert named < 4
     where = tmp_path / "maps" / "fr079" / "map.yaml"
@@ -206,8 +200,7 @@ def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
     told = run.err.splitlines()[-1]
     assert "fr079: most scans fit this map far better with their ranges multiplied by 0.9" in told
     assert "imgloc calibrate MAP --scans FILE finds it once for all" in told
-    done = call("calibrate", where, "--scans", tmp_path / "a.npz")
-    assert done.code == 0, done.err
+    call("calibrate", where, "--scans", tmp_path / "a.npz").ends(0)
     run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache")
     assert all(line.split()[1] == "fr079" for line in run.out.splitlines()[1:]), run.out
 
@@ -217,8 +210,7 @@ def test_calibrate_prints_what_it_stores(office: Path) -> None:
     scans = simulate(render(WORLDS["curved"](), 0.1), 5, 5, sensor).scans
     path = office.with_name("b.npz")
     save_scans(path, ScanSet(tuple(replace(s, ranges=1.0008 * s.ranges) for s in scans)))
-    run = call("calibrate", office, "--scans", path)
-    assert run.code == 0, run.err
+    run = call("calibrate", office, "--scans", path).ends(0)
     stored = json.loads(office.with_name("curved.calibration.json").read_text("utf-8"))["shared"][
         "scale"
     ]

@@ -40,8 +40,7 @@ def test_scans_that_fit_nowhere_alone_calibrate_a_map_together(bent: Path) -> No
     assert (run.code, run.out) == (2, "")
     assert "expected at least 5 to say what error they share" in run.err
     assert "Scans of a log with odometry need not fit one by one" in run.err
-    run = call("calibrate", files[0], "--scans", files[1])
-    assert run.code == 0, run.err
+    run = call("calibrate", files[0], "--scans", files[1]).ends(0)
     content = json.loads(kept.read_text())
     shared, about = content["shared"], content["about"]["shared"]
     assert shared["bent"] == BENT
@@ -69,8 +68,7 @@ def test_calibrate_reads_a_log_as_localize_does(
     thick: Path, words: list[object], expected: str
 ) -> None:
     given = [thick / word if word == "log.npz" else word for word in words]
-    run = call("calibrate", thick / "map.yaml", *given)
-    assert (run.code, run.out) == (2, "")
+    run = call("calibrate", thick / "map.yaml", *given).ends(2, out="")
     assert expected in " ".join(run.err.split())
 
 
@@ -79,8 +77,7 @@ def test_calibrate_is_told_how_a_log_is_read(thick: Path) -> None:
     mirrored = tuple(scan.flipped.scaled(1000) for scan in recorded.scans)
     save_scans(thick / "mm.npz", replace(recorded, scans=mirrored))
     words = ("--flipped", "--range-scale", 0.001, "--scans-index", "::3", "--dry-run", "--json")
-    run = call("calibrate", thick / "map.yaml", "--scans", thick / "mm.npz", *words)
-    assert run.code == 0, run.err
+    run = call("calibrate", thick / "map.yaml", "--scans", thick / "mm.npz", *words).ends(0)
     (found,) = rows(run.out)
     assert found["asked"] == N // 3
     assert found["shared"]["thinner"] == THICK

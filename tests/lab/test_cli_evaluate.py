@@ -192,8 +192,7 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
 )
 def test_refuses(words: list[str], code: int, expected: str, scans: Path) -> None:
     given = [str(scans) if w == "SCANS" else w for w in words]
-    run = call("evaluate", CURVED, "--method", "fused", *given)
-    assert (run.code, run.out) == (code, "")
+    run = call("evaluate", CURVED, "--method", "fused", *given).ends(code, out="")
     assert expected in " ".join(run.err.split())
 
 
@@ -231,8 +230,7 @@ def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(
     np.savez(half, **arrays | {"ranges": 0.5 * arrays["ranges"], "range_max": 15.0})
     np.savez(away, **arrays | {"poses": arrays["poses"] + 3})
     mine = call("localize", "curved", half, OFF).err.splitlines()[-1]
-    run = call("evaluate", "curved", "--scans", half, "--method", "fused")
-    assert run.code == 0
+    run = call("evaluate", "curved", "--scans", half, "--method", "fused").ends(0)
     assert run.err.splitlines()[-1] == mine
     assert "Try --range-scale 2, or" in mine
     mended = ("--range-scale", 2, "--json", "--method", "fused")

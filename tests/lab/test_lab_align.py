@@ -22,14 +22,7 @@ from imgloc.lab.aligned import (
     moved_text,
     read_poses,
 )
-from imgloc.model import (
-    Hypothesis,
-    Localization,
-    OccupancyGrid,
-    Pose2D,
-    compose,
-    inverse,
-)
+from imgloc.model import Hypothesis, Localization, OccupancyGrid, Pose2D, compose, inverse
 
 
 def room() -> np.ndarray:
@@ -339,8 +332,7 @@ def test_the_command_says_where_b_lies_and_carries_poses_and_yaml_over(files):
 
 def test_the_text_has_the_pose_and_how_far_to_trust_it(files):
     folder, _ = files
-    given = call("map", "align", folder / "a.yaml", folder / "b.yaml", "--strict")
-    assert given.code == 0
+    given = call("map", "align", folder / "a.yaml", folder / "b.yaml", "--strict").ends(0)
     assert "unique\n  pose       x " in given.out
     for word in ("agree", "residual", "bend", "overlap"):
         assert word in given.out
@@ -420,8 +412,7 @@ def test_the_picture_and_the_words_name_maps_that_are_called_map_by_their_folder
             text = (MAPS / f"curved{ending}").read_bytes().replace(b"curved.png", b"map.png")
             (tmp_path / name / f"map{ending}").write_bytes(text)
     one, other = (tmp_path / name / "map.yaml" for name in ("first", "second"))
-    done = call("map", "align", one, other, "--picture", tmp_path / "p.png")
-    assert done.code == 0, done
+    done = call("map", "align", one, other, "--picture", tmp_path / "p.png").ends(0)
     assert "walls of both are as thick" in done.out
     assert (map_name(one), map_name(other)) == ("first", "second")
 

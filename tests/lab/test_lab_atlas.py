@@ -246,8 +246,7 @@ def test_the_command_writes_a_picture_a_table_and_numbers(tmp_path: Path) -> Non
     assert found["unique"]["low"] <= found["unique"]["value"] <= found["unique"]["high"]
     assert cv2.imdecode(np.fromfile(png, np.uint8), cv2.IMREAD_COLOR).shape[1] >= 1000
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "a.png"]
-    again = call(*ATLAS, "--out", png, "--json")
-    assert (again.code, again.out) == (1, "")
+    call(*ATLAS, "--out", png, "--json").ends(1, out="")
 
 
 def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
@@ -293,9 +292,7 @@ def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch)
     assert len(journal) == 1 + stop
     assert json.loads(journal[0])["headings"] == 2
     monkeypatch.undo()
-    run = call(*ATLAS, "--out", png, "--workers", 1)
-    assert run.code == 0
-    assert "going on after 5" in run.err
+    call(*ATLAS, "--out", png, "--workers", 1).ends(0, "going on after 5")
     assert not (tmp_path / "a.png.part").exists()
 
 
@@ -310,7 +307,5 @@ def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch)
 )
 def test_refuses(tmp_path: Path, options, code: int, expected: str) -> None:
     words = ["atlas", MAPS / "curved.yaml", "--out", tmp_path / "a.png", *options]
-    run = call(*words)
-    assert (run.code, run.out) == (code, "")
-    assert expected in run.err
+    call(*words).ends(code, expected, out="")
     assert not list(tmp_path.iterdir())

@@ -135,9 +135,7 @@ def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
 ) -> None:
     low = [*CALIBRATE[:2], "--method", "ght,beam", *CALIBRATE[4:], 1]
     run = call(*words(low, folder), "--memory-budget", "85M", "-v")
-    assert (run.code, run.out) == (2, "")
-    assert "ght on" in run.err
-    assert "beam on 130 x 160 cells of 0.1 m" in run.err
+    run.ends(2, "ght on", "beam on 130 x 160 cells of 0.1 m", out="")
     assert "Fit(" not in run.err  # nothing has been measured
 
 

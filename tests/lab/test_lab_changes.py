@@ -200,13 +200,11 @@ def logs(moved, tmp_path, monkeypatch):
 
 def batch(*options: object) -> None:
     given = ("batch", "old.yaml", "logs", "--workers", 1, "--no-cache")
-    done = call(*given, "--out", "done", *options)
-    assert done.code == 0, done.err
+    call(*given, "--out", "done", *options).ends(0)
 
 
 def aged(*given: object) -> dict:
-    found = call("map", "changes", "old.yaml", *given, "--json", "--no-cache")
-    assert found.code == 0, found.err
+    found = call("map", "changes", "old.yaml", *given, "--json", "--no-cache").ends(0)
     return json.loads(found.out)
 
 

@@ -98,9 +98,7 @@ def test_what_cannot_be_done_is_one_clear_line(
     folder: Path, tmp_path: Path, words: str, code: int, said: str
 ) -> None:
     plan, out = folder / "drawing.png", tmp_path / "out.yaml"
-    run = call("map", "plan", plan, "--out", out, *words.split())
-    assert (run.code, run.out) == (code, "")
-    assert said in run.err
+    run = call("map", "plan", plan, "--out", out, *words.split()).ends(code, said, out="")
     assert len(run.err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -109,9 +107,7 @@ def test_nothing_is_overwritten_by_chance_and_the_plan_never(folder: Path) -> No
     words = ("map", "plan", folder / "drawing.png", "--resolution", PIXEL, "--out")
     assert "exists already" in call(*words, folder / "map.yaml").err
     before = (folder / "drawing.png").read_bytes()
-    run = call(*words, folder / "drawing.yaml", "--force")
-    assert run.code == 1
-    assert "drawing.png: is read by this command" in run.err
+    call(*words, folder / "drawing.yaml", "--force").ends(1, "drawing.png: is read by this command")
     assert (folder / "drawing.png").read_bytes() == before
     run = call(*words, folder / "new.yaml", "--picture", folder / "new.png")
     assert (run.code, "is the image of the map" in run.err) == (2, True)
@@ -169,8 +165,7 @@ def test_a_title_that_is_taken_for_the_building_is_doubted_aloud(tmp_path: Path)
         cv2.circle(sheet, (x, 620), 52, 0, 8)  # letters of a title
     (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
     words = ("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "-o")
-    run = call(*words, tmp_path / "map.yaml", "--json")
-    assert run.code == 0, run.err
+    run = call(*words, tmp_path / "map.yaml", "--json").ends(0)
     said = " ".join(run.err.split())
     assert "sheet.png: the building was most likely missed: only " in said
     assert "Look at --picture" in said
@@ -199,8 +194,7 @@ def test_walls_that_are_taken_for_two_are_warned_of(tmp_path: Path) -> None:
     words = ("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "--json", "-o")
     right = call(*words, tmp_path / "right.yaml")
     assert (right.code, "misread" in right.err) == (0, False), right.err
-    wrong = call(*words, tmp_path / "wrong.yaml", "--thickest", 0.2)
-    assert wrong.code == 0, wrong.err
+    wrong = call(*words, tmp_path / "wrong.yaml", "--thickest", 0.2).ends(0)
     said = " ".join(wrong.err.split())
     assert "sheet.png: walls were most likely misread: " in said
     assert "look into gaps less than 0.5 m wide" in said
@@ -246,8 +240,7 @@ def test_a_yaml_beside_a_plan_says_its_scale_and_where_it_lies(
     (tmp_path / "a.png").write_bytes((folder / "drawing.png").read_bytes())
     yaml = f"image: a.png\nresolution: {PIXEL}\norigin: [10, 20, 0]\n"
     (tmp_path / "a.yaml").write_text(yaml)
-    run = call("map", "plan", tmp_path / "a.png", "-o", tmp_path / "map.yaml", "--json")
-    assert run.code == 0, run.err
+    run = call("map", "plan", tmp_path / "a.png", "-o", tmp_path / "map.yaml", "--json").ends(0)
     assert "missed" not in run.err
     (row,) = rows(run.out)
     assert (row["resolution"], row["doubt"]) == (PIXEL, None)

@@ -126,8 +126,7 @@ def test_the_unit_is_that_of_the_header_if_doors_agree(
     tmp_path: Path, unit: float, header: int, said: str
 ) -> None:
     path = dxf(tmp_path / "a.dxf", unit, header)
-    run = call("map", "plan", path, "-o", tmp_path / "a.yaml", "--json")
-    assert run.code == 0, run.err
+    run = call("map", "plan", path, "-o", tmp_path / "a.yaml", "--json").ends(0)
     (row,) = rows(run.out)
     assert row["scale"] == said
     assert row["resolution"] == unit

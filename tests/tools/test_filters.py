@@ -8,15 +8,7 @@ from imgloc.filters.follow import with_odometry
 from imgloc.filters.motion import increments
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
-from tools.filters import (
-    Run,
-    driven,
-    for_good,
-    piece,
-    recovered,
-    starts,
-    summarise_runs,
-)
+from tools.filters import Run, driven, for_good, piece, recovered, starts, summarise_runs
 
 
 def line(n: int = 40, step: float = 0.5) -> ScanSet:

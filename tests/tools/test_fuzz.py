@@ -60,8 +60,7 @@ def test_the_command_says_a_line_a_target_and_whether_all_is_well(
     target, seed = planted("key")
     monkeypatch.setitem(TARGETS, "planted", target)
     again = ("--runs", RUNS, "--seed", seed, "--out", tmp_path / "out")
-    done = run(main, "planted", "pairs", *again)
-    assert done.code == 1, done
+    done = run(main, "planted", "pairs", *again).ends(1)
     first, second = done.out.splitlines()
     assert first.split()[:6] == ["planted", "6", "executions", "5", "accepted", "1"]
     assert " 0 findings" in second

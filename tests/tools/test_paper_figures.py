@@ -8,14 +8,7 @@ import pytest
 
 from imgloc.model import OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.output.canvas import Part, Picture
-from tools.paper.figures import (
-    cross,
-    draw_comparison,
-    draw_fields,
-    draw_scan,
-    ring,
-    scene,
-)
+from tools.paper.figures import cross, draw_comparison, draw_fields, draw_scan, ring, scene
 
 RED, BLUE = (60, 20, 220), (178, 114, 0)
 

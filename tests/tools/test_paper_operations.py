@@ -6,13 +6,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.lab.evaluation import share
 from imgloc.lab.performance_index import Index
 from imgloc.likelihoods.correlate import ENGINES
-from tools.paper.operations import (
-    OPERATIONS,
-    OperationRow,
-    compare,
-    main,
-    worse,
-)
+from tools.paper.operations import OPERATIONS, OperationRow, compare, main, worse
 from tools.paper.table import Gain
 
 

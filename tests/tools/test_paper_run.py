@@ -104,7 +104,6 @@ def test_threads_change_no_picture(folder):
 
 def test_nothing_is_overwritten_unless_forced(folder):
     before = (folder / "results.json").read_bytes()
-    done = run(main, "--out", folder, "--quick", "-n", 2)
-    assert done.code == 1
+    done = run(main, "--out", folder, "--quick", "-n", 2).ends(1)
     assert re.search(r"results\.json.*exists", done.err)
     assert (folder / "results.json").read_bytes() == before

@@ -91,6 +91,5 @@ def test_without_pairs_there_is_no_lean():
 
 
 def test_the_command_prints_a_table(shared):
-    found = run(main, "lean", "-n", 6, "--sets", shared / "data/gh25/map.yaml")
-    assert found.code == 0, found.err
+    found = run(main, "lean", "-n", 6, "--sets", shared / "data/gh25/map.yaml").ends(0)
     assert found.out.splitlines()[2].startswith("| gh25 | ")

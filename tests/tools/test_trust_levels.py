@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from imgloc.search.protection import Spread
-from tools.trust.levels import (
-    Answered,
-    fit_spreads,
-    held_table,
-    risk_table,
-    stanford_table,
-)
+from tools.trust.levels import Answered, fit_spreads, held_table, risk_table, stanford_table
 
 TRUE = Spread(0.8, 0.02, 5.0)
 

@@ -82,8 +82,7 @@ def folder(tmp_path_factory):
 
 
 def test_recorded_and_simulated_scans_are_asked_of_all_maps(folder):
-    done = run(main, "which", folder, "-n", 2)
-    assert done.code == 0, done.err
+    done = run(main, "which", folder, "-n", 2).ends(0)
     found = json.loads(done.out)
     assert (found["scans"], found["maps"]) == (2, 2)
     named = found["named with 0.5 or more"]

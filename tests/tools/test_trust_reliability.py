@@ -135,8 +135,7 @@ def test_the_summary_counts_simulated_recorded_and_other_maps():
 )
 def test_the_tool_refuses_in_one_line_before_it_measures(words, code, said):
     words = [ROOT / w if "tools/" in str(w) else w for w in words]
-    done = run(main, "reliability", *words)
-    assert (done.code, done.out) == (code, "")
+    done = run(main, "reliability", *words).ends(code, out="")
     assert done.err.count("\n") == 1
     assert said in done.err
 

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,8 +65,8 @@ def spawned(
 
 
 @contextmanager
-def ending(*processes: "subprocess.Popen[bytes]") -> Iterator[None]:
-    """End the processes, however this ends."""
+def ending(processes: Iterable["subprocess.Popen[bytes]"]) -> Iterator[None]:
+    """End the processes that there are in the end, however this ends."""
     try:
         yield
     finally:
@@ -128,35 +128,19 @@ def kill_loop(
             if who == "node":
                 return spawned("imgloc", "node", "--sensor", sensor, environment=around)
             first = rng.randrange(len(log) // 2)
-            words = (
-                "play",
-                map_path,
-                log_path,
-                "--first",
-                first,
-                "--stay",
-                1000,
-                "--write",
-                played,
-            )
-            return spawned("tools.robot", *words, environment=around)
+            words = ("play", map_path, log_path, "--first", first, "--stay", 1000)
+            return spawned("tools.robot", *words, "--write", played, environment=around)
 
-        words = ("listen", "--write", heard)
-        listener = spawned("tools.robot", *words, environment=around)
+        listener = spawned("tools.robot", "listen", "--write", heard, environment=around)
         running = {who: begin(who) for who in ("node", "player")}
-        with ending(listener):
-            try:
-                for _ in range(n):
-                    time.sleep(rng.uniform(0.5, longest))
-                    who = rng.choice(("node", "player"))
-                    running[who].send_signal(signal.SIGKILL)
-                    running[who].wait()
-                    told.kills[who] += 1
-                    time.sleep(rng.uniform(0.0, 2.0))
-                    running[who] = begin(who)
-                time.sleep(longest)
-            finally:
-                for process in running.values():
-                    process.kill()
-                    process.wait()
+        with ending([listener]), ending(running.values()):
+            for _ in range(n):
+                time.sleep(rng.uniform(0.5, longest))
+                who = rng.choice(("node", "player"))
+                running[who].send_signal(signal.SIGKILL)
+                running[who].wait()
+                told.kills[who] += 1
+                time.sleep(rng.uniform(0.0, 2.0))
+                running[who] = begin(who)
+            time.sleep(longest)
         return judged(told, lines_of(heard), lines_of(played), truth)
