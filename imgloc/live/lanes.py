@@ -126,8 +126,7 @@ class Lane:
             asyncio.get_running_loop().call_later(_AGAIN, self._stop, piece)
 
     def _busy(self) -> Refused:
-        found = f"{self.pending} requests are under way; come back in a second"
-        return Refused("busy", found, retry=1)
+        return Refused("busy", f"{self.pending} requests under way; come back in a second", retry=1)
 
     def _make_place(self, client: str) -> None:
         """Refuse a client if the lane is full and no other has more places."""

@@ -49,7 +49,7 @@ _READ = (
     option(opt.Logs, "fov"),
 )  # fmt: skip
 _SCANS = (_SCANS_ID, *_READ, _CHOSEN, *TAKEN)
-_KNOWN = {key: option(opt.Known, key) for key in ("near", "sd", "heading", "clearance")}
+KNOWN = {key: option(opt.Known, key) for key in ("near", "sd", "heading", "clearance")}
 _REGION = _own(
     "region", "Only poses in this polygon: x1, y1, x2, y2 and so on, map frame, metres.",
     tuple[opt.Place, ...], parse=numbers(*CORNERS),
@@ -59,9 +59,9 @@ _HINTS = _own(
     "radians, weight (0.001 to 1), and so on. No pose is excluded, and none unique by them.",
     tuple[opt.Place, ...], parse=numbers(*CORNERS),
 )  # fmt: skip
-DOUBTS = (MAP, *_SCANS, *_KNOWN.values(), _HINTS, _REGION)
+DOUBTS = (MAP, *_SCANS, *KNOWN.values(), _HINTS, _REGION)
 LOCALIZE = (*DOUBTS, *(option(opt.Options, key) for key in ("method", "top", "theta_step")))
-WHICH = (*_SCANS, _KNOWN["heading"], _KNOWN["clearance"])
+WHICH = (*_SCANS, KNOWN["heading"], KNOWN["clearance"])
 FIT = (
     MAP, *_SCANS,
     _own("pose", "Pose of the sensor: x, y, yaw, map frame.", Pose2D, MISSING, parse=pose),

@@ -47,7 +47,7 @@ from imgloc.live.held import Held
 from imgloc.live.lanes import Lane
 from imgloc.live.localizer import Localizer
 from imgloc.live.metrics import Metrics
-from imgloc.live.openapi import OPERATIONS, Operation
+from imgloc.live.openapi import KNOWN, OPERATIONS, Operation
 from imgloc.live.parameters import read_query, with_defaults
 from imgloc.live.problems import Problem, Refused, problem_of
 from imgloc.live.requests import Sent, map_of, marked_bytes, marked_of, scans_of, taken
@@ -695,8 +695,7 @@ def _prior(values: Values, site: Site) -> Prior:
     if len(given) % 6:
         raise ConfigError(f"hints: got {len(given)} numbers, expected six for each pose")
     hints = tuple(Hint(*row) for row in np.reshape(given, (-1, 6)).tolist())
-    known = {key: values[key] for key in ("near", "heading", "clearance", "sd")}
-    prior = prior_of(Known(**known, hints=hints), grid)
+    prior = prior_of(Known(**{key: values[key] for key in KNOWN}, hints=hints), grid)
     if values["region"] is not None:
         cells = layers.region_cells(grid, _corners(values["region"]))
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
