@@ -466,7 +466,7 @@ def test_a_layer_that_nobody_waits_for_makes_room_for_the_next(service: Served) 
 
 def waits(one: Served, enough: Callable[[int], bool]) -> None:
     """Wait until so many layers are under way."""
-    until = time.monotonic() + 20
+    until = time.monotonic() + 60
     while not enough(int(float(re.findall(r'queue.*"layers".* (\S+)', metrics(one))[0]))):
         assert time.monotonic() < until
         time.sleep(0.02)

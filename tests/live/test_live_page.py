@@ -170,6 +170,7 @@ def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(
         (best["x"], best["y"], np.rad2deg(best["theta"])), abs=0.051
     )
     assert page.locator("#word").inner_text() == row["verdict"]
+    sync.expect(page.locator("#count-unexplained")).to_have_text(re.compile(r"\d"))
     kinds = {
         key: int(page.locator(f"#count-{key}").inner_text()) for key in ("agrees", "unexplained")
     }
