@@ -1,4 +1,4 @@
-"""`imgloc track --mcap`: what is in the file, read back by another library than wrote it."""
+"""`imgloc track --mcap`: what is in the file, read back."""
 
 import hashlib
 import json
@@ -17,9 +17,7 @@ import imgloc
 from imgloc.model import LaserScan, Pose2D
 from imgloc.output.mcap import evenly
 
-pytest.importorskip("foxglove", reason="no foxglove-sdk: pip install 'imgloc[foxglove]'")
-decoding = pytest.importorskip("mcap_protobuf.decoder", reason="no mcap-protobuf-support")
-reading = pytest.importorskip("mcap.reader")
+highlevel = pytest.importorskip("rosbags.highlevel", reason="reads bags: the extra ros")
 
 MAP = MAPS / "curved.yaml"
 
@@ -40,46 +38,39 @@ def log(tmp_path_factory) -> Path:
 
 
 def read(path: Path) -> dict[str, list]:
-    with path.open("rb") as file:
-        reader = reading.make_reader(file, decoder_factories=[decoding.DecoderFactory()])
-        out = defaultdict(list)
-        for schema, channel, message in reader.iter_messages():
-            if channel.message_encoding == "json":
-                decoded = json.loads(message.data)
-            else:
-                decoded = next(
-                    d for f in [decoding.DecoderFactory()]
-                    if (d := f.decoder_for(channel.message_encoding, schema)) is not None
-                )(message.data)  # fmt: skip
-            out[channel.topic].append((schema.name if schema else "", message.log_time, decoded))
+    """Type, nanoseconds and message of all that is on each topic."""
+    out = defaultdict(list)
+    with highlevel.AnyReader([path]) as bag:
+        for c, time, raw in bag.messages():
+            out[c.topic].append((c.msgtype, time, bag.deserialize(raw, c.msgtype)))
     return out
 
 
-def test_a_track_is_there_as_foxglove_knows_it(tmp_path, log) -> None:
+def test_a_track_is_there_as_ros_knows_it(tmp_path, log) -> None:
     out = tmp_path / "out.mcap"
     run = call("track", MAP, log, "--mcap", out, "--json", "--start", "8,6,0").ends(0)
     rows = [json.loads(line) for line in run.out.splitlines()]
     found = read(out)
     assert {topic: items[0][0] for topic, items in found.items()}.items() >= {
-        "/map": "foxglove.Grid", "/scan": "foxglove.LaserScan",
-        "/imgloc/track": "imgloc.track",
-        "/imgloc/hypotheses": "foxglove.PosesInFrame", "/imgloc/verdict": "foxglove.Log",
+        "/map": "nav_msgs/msg/OccupancyGrid", "/scan": "sensor_msgs/msg/LaserScan",
+        "/imgloc/track": "std_msgs/msg/String", "/imgloc/verdict": "std_msgs/msg/String",
+        "/imgloc/hypotheses": "geometry_msgs/msg/PoseArray",
     }.items()  # fmt: skip
     counts = Counter({topic: len(items) for topic, items in found.items()})
     unique = sum(row["pose"] is not None for row in rows)
     assert (counts["/map"], counts["/imgloc/verdict"], counts["/imgloc/track"]) == (1, 5, 5)
-    assert counts["/imgloc/pose"] == counts["/tf"] == unique
-    assert [message for _, _, message in found["/imgloc/track"]] == rows
+    assert counts["/imgloc/pose"] == unique
+    assert [json.loads(message.data) for _, _, message in found["/imgloc/track"]] == rows
     assert [time for _, time, _ in found["/imgloc/track"]] == [
         10**9 * (1_700_000_000 + k) for k in range(5)
     ]
-    grid, one = imgloc.load_map(MAP), found["/map"][0][2]
-    pixels = np.frombuffer(one.data, np.uint8).reshape(*grid.occupied.shape, 4)
-    assert (pixels[..., 0] == 40).tolist() == grid.occupied.tolist()
-    assert (one.cell_size.x, one.column_count) == (grid.resolution, grid.occupied.shape[1])
+    grid, there = imgloc.load_map(MAP), imgloc.grid_from_msg(found["/map"][0][2])
+    assert (there.occupied == grid.occupied).all()
+    assert (there.resolution, there.origin) == (grid.resolution, grid.origin)
     scan = found["/scan"][0][2]
     assert len(scan.ranges) == 91
-    assert scan.end_angle - scan.start_angle == pytest.approx(math.radians(270))
+    assert scan.angle_max - scan.angle_min == pytest.approx(math.radians(270))
+    assert len(imgloc.load_scans(out)) == counts["/scan"]
 
 
 def test_a_unique_pose_is_a_pose_and_a_transform(tmp_path) -> None:
@@ -95,15 +86,20 @@ def test_a_unique_pose_is_a_pose_and_a_transform(tmp_path) -> None:
     for laser in ("/front", "1"):
         recording.add(replace(scan, laser=laser), moment)
     recording.save(tmp_path / "one.mcap")
+    recording.close()
     found = read(tmp_path / "one.mcap")
-    tf, at = found["/tf"][0][2], found["/imgloc/pose"][0][2].pose
-    assert (tf.parent_frame_id, tf.child_frame_id) == ("map", "base_link")
-    assert (tf.translation.x, tf.translation.y) == (at.position.x, at.position.y) == (1.0, 2.0)
-    assert tf.rotation.z == pytest.approx(math.sin(math.pi / 4))
-    for topic in ("/front", "/laser_1/scan"):
+    at = found["/imgloc/pose"][0][2].pose.pose
+    assert (at.position.x, at.position.y) == (1.0, 2.0)
+    for (_, _, tf), topic in zip(found["/tf"], ("/front", "/laser_1/scan"), strict=True):
+        sensor, base = tf.transforms
+        assert (base.header.frame_id, base.child_frame_id) == ("map", "base_link")
+        assert (base.transform.translation.x, base.transform.translation.y) == (1.0, 2.0)
+        assert base.transform.rotation.z == pytest.approx(math.sin(math.pi / 4))
         ((_, _, message),) = found[topic]
-        assert (message.pose.position.x, message.pose.position.y) == pytest.approx((1.0, 2.5))
-    assert found["/imgloc/pose"][0][2].timestamp.ToNanoseconds() == 5_250_000_000
+        assert (sensor.header.frame_id, sensor.child_frame_id) == ("map", message.header.frame_id)
+        place = sensor.transform.translation
+        assert (place.x, place.y) == pytest.approx((1.0, 2.5))
+    assert found["/imgloc/pose"][0][1] == 5_250_000_000
 
 
 def test_the_same_track_has_the_same_bytes_and_no_file_is_overwritten(tmp_path, log) -> None:
@@ -132,12 +128,12 @@ def test_uneven_angles_are_those_of_the_nearest_rays() -> None:
     np.testing.assert_array_equal(ranges, [1, 2, 3, 4, *[np.nan] * 5, 9])
 
 
-def test_without_the_sdk_one_error_says_what_to_install(tmp_path, log) -> None:
+def test_without_rosbags_one_error_says_what_to_install(tmp_path, log) -> None:
     program = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['foxglove'] = None\n"
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['rosbags.rosbag1'] = None\n"
         f"import imgloc.cli.app as a\n"
         f"a.main(['track', {str(MAP)!r}, {str(log)!r}, '--mcap', {str(tmp_path / 'o.mcap')!r}])"
     )
     done = subprocess.run([sys.executable, *SAFE, "-c", program], capture_output=True, timeout=60)
     assert done.returncode == 1
-    assert b"pip install 'imgloc[foxglove]'" in done.stderr
+    assert b"pip install 'imgloc[ros]'" in done.stderr

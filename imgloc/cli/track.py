@@ -66,8 +66,8 @@ class Outputs:
     )
     mcap: Path | None = option(
         None,
-        "Write map, scans, places, pose and verdict for Foxglove into this file; needs "
-        "imgloc[foxglove].",
+        "Write map, scans, places, pose and verdict as messages of ROS 2 into this file, for "
+        "Foxglove and RViz; needs imgloc[ros].",
         metavar="MCAP",
     )
     force: opt.Force = False

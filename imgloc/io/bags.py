@@ -39,7 +39,7 @@ from imgloc.robot.recording import SCANS, Recording, Source, mounted, pick_odome
 
 _LOG = logging.getLogger("imgloc")
 LASER, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
-_CLOUD, _GRID = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"
+GRID, _CLOUD = "nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/PointCloud2"
 BAG_ENDINGS = (".bag", ".mcap", ".db3")
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 8  # topics in a message
@@ -84,7 +84,7 @@ def read_bag(
         beside = Beside()
         wanted = {chosen, *(t for kind in (ODOMETRY, *TF) for t in _by_type(bag, kind))}
         lasers = tuple(_by_type(bag, LASER)) or tuple(_by_type(bag, _CLOUD))
-        maps = tuple(_by_type(bag, _GRID))
+        maps = tuple(_by_type(bag, GRID))
         connections = [c for c in bag.connections if c.topic in wanted]
         entries, laser = list[Entry](), ""
         count = sum(c.msgcount for c in connections if c.topic == chosen)
@@ -201,7 +201,7 @@ def read_bag_map(path: PathLike) -> OccupancyGrid:
     name = display(path)
     try:
         with _opened(path, name) as bag:
-            topics, last = _by_type(bag, _GRID), None
+            topics, last = _by_type(bag, GRID), None
             wanted = "/map" if "/map" in topics or len(topics) != 1 else next(iter(topics))
             found = [c for c in bag.connections if c.topic == wanted and wanted in topics]
             for connection, _, data in messages_of(bag, found) if found else ():

@@ -40,6 +40,11 @@ def scan_topics(lasers: Iterable[str]) -> dict[str, str]:
     return {name: name if name[:1] == "/" else f"/laser_{name}/scan" for name in names}
 
 
+def frame_of(topic: str) -> str:
+    """The frame of the laser of a topic."""
+    return topic.strip("/").replace("/", "_")
+
+
 def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
     """The scans of several lasers as one set, in the order of their stamps.
 

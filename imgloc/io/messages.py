@@ -242,6 +242,13 @@ def pose_fields(pose: Pose2D) -> dict[str, Any]:
     }
 
 
+def link_fields(pose: Pose2D, header: Any, child: str) -> dict[str, Any]:
+    """The fields of a geometry_msgs/TransformStamped to the frame `child` at a pose."""
+    at = pose_fields(pose)
+    transform = {"translation": at["position"], "rotation": at["orientation"]}
+    return {"header": header, "child_frame_id": child, "transform": transform}
+
+
 def seconds_of(stamp: Any) -> float:
     """Seconds of a stamp, of ROS 2 or 1.
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.geometry import transform_points
-from imgloc.io.messages import pose_fields
+from imgloc.io.messages import link_fields, pose_fields
 from imgloc.live.status import Found
 from imgloc.model import FloatArray, LaserScan, Pose2D, compose
 from imgloc.output.ros import amcl_covariance
@@ -65,10 +65,8 @@ class Messages:
 
     def link(self, pose: Pose2D, header: Any, child: str) -> Any:
         """A TransformStamped to a frame at a pose."""
-        at = pose_fields(pose)
-        transform = {"translation": at["position"], "rotation": at["orientation"]}
         message = self._ros.geometry_msgs.TransformStamped()
-        return fill(message, {"header": header, "child_frame_id": child, "transform": transform})
+        return fill(message, link_fields(pose, header, child))
 
     def places(self, found: Found, header: Any) -> Any:
         """A PoseArray of all places, best first."""

@@ -11,7 +11,6 @@ r0,r1
 
 import json
 import math
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -20,18 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError, OutputError
+from imgloc.errors import ConfigError
 from imgloc.io.bags import LASER, ODOMETRY, TF
 from imgloc.io.files import PathLike, display, write_bytes_atomic
-from imgloc.io.lasers import scan_topics
-from imgloc.io.messages import scan_to_msg
+from imgloc.io.lasers import frame_of, scan_topics
+from imgloc.io.messages import header_fields, link_fields, pose_fields, scan_to_msg
 from imgloc.io.scans import write_npz
 from imgloc.io.scanset import ScanSet
+from imgloc.model import Pose2D
+from imgloc.output.ros import Bag
 
 _ANY = "JSON lines can contain such scans: end the name in .jsonl"
-_TOPICS = {"/odom": ODOMETRY, "/tf": TF[0], "/tf_static": TF[0]}
-_LIMITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min",
-           "range_max")  # fmt: skip
 
 
 def convert(scans: ScanSet, path: PathLike, *, force: bool = False) -> None:
@@ -109,64 +107,25 @@ def mcap_of(scans: ScanSet) -> bytes:
     Of several lasers each has a topic and a frame of its own. A log without stamps has a scan
     a second. Known poses have no topic.
     """
-    try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise OutputError("MCAP needs rosbags: pip install 'imgloc[ros]'") from None
-    store = get_typestore(Stores.ROS2_HUMBLE)
-
-    def made(kind: str, *values: Any) -> Any:
-        return store.types[kind.replace("/", "/msg/")](*values)
-
-    def vector(x: float = 0.0, y: float = 0.0, kind: str = "Vector3") -> Any:
-        return made(f"geometry_msgs/{kind}", x, y, 0.0)
-
-    def turn(theta: float) -> Any:
-        return made("geometry_msgs/Quaternion", 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
-
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder, "scans")
-        with Writer(place, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-            topics = scan_topics(scans.lasers)
-            kinds = {**dict.fromkeys(topics.values(), LASER), **_TOPICS}
-            to = {t: bag.add_connection(t, kind, typestore=store) for t, kind in kinds.items()}
-            seen = {(scan.laser, scan.T_base_laser) for scan in scans.scans}
-            places, placed = Counter(laser for laser, _ in seen), set[str]()
-            for k, scan in enumerate(scans.scans):
-                seconds = scan.stamp if math.isfinite(scan.stamp) else float(k + 1)
-                fields = scan_to_msg(replace(scan, stamp=seconds))
-                stamp = made("builtin_interfaces/Time", *fields["header"]["stamp"].values())
-
-                def write(topic: str, message: Any, at: float = seconds) -> None:
-                    data = store.serialize_cdr(message, kinds[topic])
-                    bag.write(to[topic], round(1e9 * at), bytes(data))
-
-                limits = (float(fields[key]) for key in _LIMITS)
-                ranges, none = np.array(fields["ranges"], np.float32), np.zeros(0, np.float32)
-                topic, mount = topics[scan.laser], scan.T_base_laser
-                frame = "laser" if len(topics) == 1 else topic.strip("/").replace("/", "_")
-                header = made("std_msgs/Header", stamp, frame)
-                write(topic, made("sensor_msgs/LaserScan", header, *limits, ranges, none))
-                moves = places[scan.laser] > 1
-                if mount is not None and (moves or topic not in placed):
-                    placed.add(topic)
-                    header = made("std_msgs/Header", stamp, "base_link")
-                    link = made(
-                        "geometry_msgs/Transform", vector(mount.x, mount.y), turn(mount.theta)
-                    )
-                    link = made("geometry_msgs/TransformStamped", header, frame, link)
-                    write("/tf" if moves else "/tf_static", made("tf2_msgs/TFMessage", [link]))
-                if scans.odom is not None and np.isfinite(scans.odom[k]).all():
-                    x, y, theta = scans.odom[k].tolist()
-                    pose = made("geometry_msgs/Pose", vector(x, y, "Point"), turn(theta))
-                    pose = made("geometry_msgs/PoseWithCovariance", pose, np.zeros(36))
-                    twist = made("geometry_msgs/Twist", vector(), vector())
-                    twist = made("geometry_msgs/TwistWithCovariance", twist, np.zeros(36))
-                    header = made("std_msgs/Header", stamp, "odom")
-                    write("/odom", made("nav_msgs/Odometry", header, "base_link", pose, twist))
-        (file,) = place.glob("*.mcap")
-        return file.read_bytes()
+    topics = scan_topics(scans.lasers)
+    seen = {(scan.laser, scan.T_base_laser) for scan in scans.scans}
+    places, placed = Counter(laser for laser, _ in seen), set[str]()
+    with Bag() as bag:
+        for k, scan in enumerate(scans.scans):
+            seconds = scan.stamp if math.isfinite(scan.stamp) else float(k + 1)
+            topic, mount = topics[scan.laser], scan.T_base_laser
+            frame = "laser" if len(topics) == 1 else frame_of(topic)
+            bag.write(topic, LASER, seconds, scan_to_msg(replace(scan, stamp=seconds), frame))
+            moves = places[scan.laser] > 1
+            if mount is not None and (moves or topic not in placed):
+                placed.add(topic)
+                link = link_fields(mount, header_fields(seconds, "base_link"), frame)
+                bag.write("/tf" if moves else "/tf_static", TF[0], seconds, {"transforms": [link]})
+            if scans.odom is not None and np.isfinite(scans.odom[k]).all():
+                pose = {"pose": pose_fields(Pose2D(*scans.odom[k]))}
+                about = {"header": header_fields(seconds, "odom"), "child_frame_id": "base_link"}
+                bag.write("/odom", ODOMETRY, seconds, about | {"pose": pose})
+        return bag.content()
 
 
 FORMS: Mapping[str, Callable[[ScanSet], str | bytes]] = {

@@ -1,42 +1,41 @@
-"""A track as a file for Foxglove: MCAP with Foxglove's own schemas, by foxglove-sdk.
+"""A track as a recording of ROS 2, for Foxglove, RViz and ``ros2 bag play``.
 
-======================== ==================== ====================================================
-topic                    schema               what it has
-======================== ==================== ====================================================
-``/map``                 foxglove.Grid        the map, once
-``/scan``                foxglove.LaserScan   each scan at the best place, whatever the verdict;
-                                              of several lasers each has a topic of its own
-``/imgloc/hypotheses``   PosesInFrame         every place, best first
-``/imgloc/pose``         PoseInFrame          the pose while it is unique, and at no other time
-``/tf``                  FrameTransform       ``map`` to ``base_link``, at the same times
-``/imgloc/verdict``      foxglove.Log         unique, ambiguous or lost, and why
-``/imgloc/track``        JSON                 the row of `imgloc track --json`
-======================== ==================== ====================================================
+======================== ============================ ==============================================
+topic                    message                      content
+======================== ============================ ==============================================
+``/map``                 OccupancyGrid                the map, once
+``/scan``                LaserScan                    each scan in a frame at the best place,
+                                                      whatever the verdict; of several lasers each
+                                                      has a topic of its own
+``/imgloc/hypotheses``   PoseArray                    every place, best first
+``/imgloc/pose``         PoseWithCovarianceStamped    the pose while it is unique, at no other time
+``/tf``                  TFMessage                    ``map`` to ``base_link`` at the same times,
+                                                      and to the frames of the scans
+``/imgloc/verdict``      String                       unique, ambiguous or lost, and why
+``/imgloc/track``        String                       the row of `imgloc track --json`
+======================== ============================ ==============================================
 """
 
-import importlib
 import math
-import tempfile
 from collections.abc import Iterable
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from imgloc.errors import OutputError
-from imgloc.filters.belief import UNIQUE
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
-from imgloc.io.files import PathLike, display, write_bytes_atomic
-from imgloc.io.lasers import scan_topics
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, compose
-from imgloc.output.rows import moment_row
+from imgloc.io.bags import GRID, LASER, TF
+from imgloc.io.files import PathLike, display, reason, write_bytes_atomic
+from imgloc.io.lasers import frame_of, scan_topics
+from imgloc.io.messages import grid_to_msg, header_fields, link_fields, pose_fields, scan_to_msg
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, compose, to_json
+from imgloc.output.ros import ARRAY, POSE, TOPICS, Bag, message
+from imgloc.output.rows import PLACES, moment_row
 
 _MAP, _BASE = "map", "base_link"
+_TEXT = "std_msgs/msg/String"
 _LATEST = 2**32 - 1  # seconds of a stamp at most: it has 32 bits
-_GREYS = {"free": (255, 255, 255, 255), "occupied": (40, 40, 40, 255)}  # unknown is clear
-_LISTED = 20  # places of a message at most
 _RAYS = 20_000  # of an uneven scan at most
 
 
@@ -52,42 +51,16 @@ class Recording:
     Raises
     ------
     OutputError
-        If foxglove-sdk is not installed; from :meth:`add`, if a stamp is no time that MCAP has.
+        If rosbags is not installed; from :meth:`add`, if a stamp is no time that a message has.
     """
 
     def __init__(self, grid: OccupancyGrid, lasers: Iterable[str] = ()) -> None:
-        try:
-            names = ("foxglove", "foxglove.channels", "foxglove.messages", "foxglove.mcap")
-            sdk, channels, made, mcap = map(importlib.import_module, names)
-        except ImportError:
-            need = "MCAP needs foxglove-sdk: pip install 'imgloc[foxglove]'"
-            raise OutputError(need) from None
-        self._made, self._grid, self._began = made, grid, False
-        self._folder = tempfile.TemporaryDirectory()
-        self._path = Path(self._folder.name) / "track.mcap"
-        self._context = context = sdk.Context()  # which channels do not keep
-        # One thread: with several the order of the chunks, and so the bytes, would be by chance.
-        options = mcap.MCAPWriteOptions(compression_threads=0)
-        row = sdk.Schema(name="imgloc.track", encoding="jsonschema", data=b'{"type": "object"}')
-        self._writer = sdk.open_mcap(self._path, context=context, writer_options=options)
-        self._scans = {
-            laser: channels.LaserScanChannel(topic, context=context)
-            for laser, topic in scan_topics(lasers).items()
-        }
-        self._to = SimpleNamespace(
-            map=channels.GridChannel("/map", context=context),
-            places=channels.PosesInFrameChannel("/imgloc/hypotheses", context=context),
-            pose=channels.PoseInFrameChannel("/imgloc/pose", context=context),
-            tf=channels.FrameTransformChannel("/tf", context=context),
-            verdict=channels.LogChannel("/imgloc/verdict", context=context),
-            track=sdk.Channel(
-                "/imgloc/track", schema=row, message_encoding="json", context=context
-            ),
-        )
+        self._bag, self._grid, self._topics = Bag(), grid, scan_topics(lasers)
+        self._began = False
+        self.close = self._bag.close
 
     def add(self, scan: LaserScan, moment: Moment) -> None:
         """Add a scan and what is believed since."""
-        made, to = self._made, self._to
         # A log without stamps is one with a scan a second.
         seconds = moment.stamp if math.isfinite(moment.stamp) else float(moment.index)
         if not 0 <= seconds <= _LATEST:
@@ -95,79 +68,44 @@ class Recording:
             raise OutputError(
                 f"MCAP: the stamp {seconds:.6g} s, expected 0 to {_LATEST:,} s; {hint}"
             )
-        at = made.Timestamp.from_epoch_secs(seconds)
-        now = {"log_time": at.sec * 10**9 + at.nsec}
+        write, header, links = self._bag.write, header_fields(seconds, _MAP), []
         if not self._began:
-            to.map.log(self._map(at), **now)
+            write("/map", GRID, seconds, grid_to_msg(self._grid, _MAP, seconds))
             self._began = True
-        frame = {"timestamp": at, "frame_id": _MAP}
         if moment.best is not None:
-            laser = compose(moment.best, scan.T_base_laser or Pose2D(0.0, 0.0))
+            topic = self._topics.get(scan.laser, next(iter(self._topics.values())))
+            at = compose(moment.best, scan.T_base_laser or Pose2D(0.0, 0.0))
+            links.append(link_fields(at, header, frame_of(topic)))
             angles, ranges = evenly(scan)
-            ends = {"start_angle": float(angles[0]), "end_angle": float(angles[-1])}
-            self._scans.get(scan.laser, next(iter(self._scans.values()))).log(
-                made.LaserScan(**frame, pose=self._pose(laser), ranges=ranges.tolist(), **ends),
-                **now,
-            )
-        rows = transform_poses(self._grid.origin, moment.belief.poses[:_LISTED]).tolist()
-        poses = [self._pose(Pose2D(*row)) for row in rows]
-        to.places.log(made.PosesInFrame(**frame, poses=poses), **now)
-        if moment.pose is not None:
-            pose = self._pose(moment.pose)
-            to.pose.log(made.PoseInFrame(**frame, pose=pose), **now)
-            link = {"translation": made.Vector3(x=moment.pose.x, y=moment.pose.y, z=0.0)}
-            frames = {"parent_frame_id": _MAP, "child_frame_id": _BASE}
-            rotation = self._turned(moment.pose.theta)
-            to.tf.log(made.FrameTransform(timestamp=at, **frames, **link, rotation=rotation), **now)
-        level = made.LogLevel.Info if moment.belief.verdict == UNIQUE else made.LogLevel.Warning
+            even = replace(scan, angles=angles, ranges=ranges, stamp=seconds)
+            write(topic, LASER, seconds, scan_to_msg(even, frame_of(topic)))
+        rows = transform_poses(self._grid.origin, moment.belief.poses[:PLACES]).tolist()
+        places = {"header": header, "poses": [pose_fields(Pose2D(*row)) for row in rows]}
+        write(TOPICS[ARRAY], ARRAY, seconds, places)
+        unique = message(replace(moment, stamp=seconds), self._grid.origin)
+        if moment.pose is not None and unique is not None:
+            write("/imgloc/pose", POSE, seconds, unique.body)
+            links.append(link_fields(moment.pose, header, _BASE))
+        if links:
+            write("/tf", TF[0], seconds, {"transforms": links})
         words = ": ".join(filter(None, (moment.belief.verdict, moment.withheld)))
-        to.verdict.log(made.Log(timestamp=at, level=level, message=words, name="imgloc"), **now)
-        to.track.log(moment_row(moment, self._grid.origin), **now)
-
-    def _map(self, at: Any) -> Any:
-        """The map, a pixel a cell; row 0 is the lowest y here as there."""
-        made, grid = self._made, self._grid
-        pixels = np.zeros((*grid.occupied.shape, 4), np.uint8)
-        for name, colour in _GREYS.items():
-            pixels[getattr(grid, name)] = colour
-        kind = made.PackedElementFieldNumericType.Uint8
-        fields = [
-            made.PackedElementField(name=name, offset=k, type=kind)
-            for k, name in enumerate(("red", "green", "blue", "alpha"))
-        ]
-        return made.Grid(
-            timestamp=at, frame_id=_MAP, pose=self._pose(grid.origin), fields=fields,
-            column_count=grid.info.width, cell_stride=4, row_stride=4 * grid.info.width,
-            cell_size=made.Vector2(x=grid.resolution, y=grid.resolution), data=pixels.tobytes(),
-        )  # fmt: skip
-
-    def _pose(self, pose: Pose2D) -> Any:
-        position = self._made.Vector3(x=pose.x, y=pose.y, z=0.0)
-        return self._made.Pose(position=position, orientation=self._turned(pose.theta))
-
-    def _turned(self, theta: float) -> Any:
-        return self._made.Quaternion(x=0.0, y=0.0, z=math.sin(theta / 2), w=math.cos(theta / 2))
+        write("/imgloc/verdict", _TEXT, seconds, {"data": words})
+        row = to_json(moment_row(moment, self._grid.origin))
+        write("/imgloc/track", _TEXT, seconds, {"data": row})
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the file; an OutputError if there is one already, unless `force`."""
-        self._writer.close()
         try:
-            data = self._path.read_bytes()
+            data = self._bag.content()
         except OSError as error:
-            raise OutputError(f"{display(path)}: cannot be written: {error.strerror}") from None
-        self.close()
+            raise OutputError(f"{display(path)}: cannot be written: {reason(error)}") from None
         write_bytes_atomic(path, data, force=force)
-
-    def close(self) -> None:
-        """Drop what was recorded."""
-        self._writer.close()
-        self._folder.cleanup()
 
 
 def evenly(scan: LaserScan) -> tuple[FloatArray, FloatArray]:
     """Angles and ranges, (N,) each, of a scan whose angles are evenly spaced and rise.
 
-    Foxglove knows the first and the last angle alone. A scan of other angles has the nearest ray of
+    A message has the first and the last angle alone. A scan of other angles has the nearest ray of
     each; NaN where none is as near as half a step.
 
     Examples

@@ -6,6 +6,7 @@ below 0, a negative correlation among them: what is written is a diagonal whose 
 the true one. The full matrix is in the JSON.
 """
 
+import contextlib
 import importlib
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +19,7 @@ import yaml
 from imgloc.errors import OutputError
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
-from imgloc.io.files import PathLike, display, write_bytes_atomic
+from imgloc.io.files import PathLike, write_bytes_atomic
 from imgloc.io.messages import header_fields, pose_fields
 from imgloc.model import FloatArray, Pose2D
 
@@ -96,36 +97,76 @@ def yaml_text(messages: Iterable[Message]) -> str:
     )
 
 
-def write_bag(path: PathLike, messages: Sequence[Message], *, force: bool = False) -> None:
-    """Write messages as a ROS 1 bag, whole or not at all; guesses have a topic of their own.
+class Bag:
+    """A recording of messages while it is made: MCAP of ROS 2, or a ROS 1 bag.
+
+    Use it in a ``with`` block: what was recorded is dropped at its end.
 
     Raises
     ------
     OutputError
-        If rosbags is not installed, or the file cannot be written.
+        If rosbags is not installed.
     """
-    try:
-        rosbag1 = importlib.import_module("rosbags.rosbag1")
-        typesys = importlib.import_module("rosbags.typesys")
-    except ImportError:
-        need = "bags need rosbags: pip install imgloc[ros]"
-        raise OutputError(f"{display(path)}: {need}") from None
-    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
-    with tempfile.TemporaryDirectory() as folder:
-        temporary = Path(folder) / "out.bag"
-        with rosbag1.Writer(temporary) as bag:
-            topics = {
-                (kind, False): bag.add_connection(topic, kind, typestore=store)
-                for kind, topic in TOPICS.items()
-            }
-            if any(one.guess for one in messages):
-                topics[POSE, True] = bag.add_connection(GUESSES, POSE, typestore=store)
-            for k, (kind, body, guess) in enumerate(messages):
-                sec, nanosec = body["header"]["stamp"].values()
-                numbered = {**body, "header": {**body["header"], "seq": k}}
-                raw = store.serialize_ros1(filled(store, kind, numbered), kind)
-                bag.write(topics[kind, guess], 10**9 * sec + nanosec, raw)
-        write_bytes_atomic(path, temporary.read_bytes(), force=force)
+
+    def __init__(self, ending: str = ".mcap") -> None:
+        try:
+            ros1, ros2, typesys = (
+                importlib.import_module(f"rosbags.{name}")
+                for name in ("rosbag1", "rosbag2", "typesys")
+            )
+        except ImportError:
+            raise OutputError("bags need rosbags: pip install 'imgloc[ros]'") from None
+        stores, self._old, self._count = typesys.Stores, ending == ".bag", 0
+        self._store = typesys.get_typestore(stores.ROS1_NOETIC if self._old else stores.ROS2_HUMBLE)
+        self._folder = tempfile.TemporaryDirectory()
+        self._path = Path(self._folder.name, f"track{ending}")
+        mcap = {"version": 9, "storage_plugin": ros2.StoragePlugin.MCAP}
+        self._bag: Any = ros1.Writer(self._path) if self._old else ros2.Writer(self._path, **mcap)
+        self._bag.open()
+        self._to: dict[str, Any] = {}
+
+    def write(self, topic: str, kind: str, seconds: float, fields: Mapping[str, Any]) -> None:
+        """Add a message of some seconds; fields that are not given are zeros."""
+        if topic not in self._to:
+            self._to[topic] = self._bag.add_connection(topic, kind, typestore=self._store)
+        if "header" in fields:  # a message of ROS 1 has a number
+            fields = {**fields, "header": {**fields["header"], "seq": self._count}}
+        self._count += 1
+        pack = self._store.serialize_ros1 if self._old else self._store.serialize_cdr
+        data = bytes(pack(filled(self._store, kind, fields), kind))
+        self._bag.write(self._to[topic], round(1e9 * seconds), data)
+
+    def content(self) -> bytes:
+        """End the recording; return its file."""
+        self._end()
+        (file,) = [self._path] if self._old else self._path.glob("*.mcap")
+        return file.read_bytes()
+
+    def __enter__(self) -> "Bag":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Drop what was recorded."""
+        with contextlib.suppress(OSError):
+            self._end()
+        self._folder.cleanup()
+
+    def _end(self) -> None:
+        bag, self._bag = self._bag, None
+        if bag is not None:
+            bag.close()
+
+
+def write_bag(path: PathLike, messages: Iterable[Message], *, force: bool = False) -> None:
+    """Write messages as a ROS 1 bag, whole or not at all; guesses have a topic of their own."""
+    with Bag(".bag") as bag:
+        for kind, body, guess in messages:
+            sec, nanosec = body["header"]["stamp"].values()
+            bag.write(GUESSES if guess else TOPICS[kind], kind, sec + 1e-9 * nanosec, body)
+        write_bytes_atomic(path, bag.content(), force=force)
 
 
 def filled(store: Any, kind: str, given: Mapping[str, Any]) -> Any:
