@@ -5,7 +5,7 @@
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict
@@ -18,7 +18,7 @@ from imgloc.ranges import Checked, Doc, Matches, OneOf, Option, Some, Within, op
 from imgloc.texts import FAR, byte_count, metres_degrees, pose
 
 if TYPE_CHECKING:
-    from imgloc.model import BoolArray, FloatArray, LaserScan, Temperature
+    from imgloc.model import BoolArray, FloatArray, Temperature
 
     _Cells = BoolArray
     _Weights = FloatArray
@@ -641,7 +641,7 @@ class Reading(TypedDict, total=False):
         OneOf("nav2", "ros1"),
         Option(
             "Whose map_server: they treat thresholds and transparent pixels differently. [default: "
-            "nav2]"
+            "the map's YAML, or nav2]"
         ),
     ]
     occupied_thresh: Annotated[
@@ -839,16 +839,6 @@ class Mounting(Checked):
         super().__post_init__()
         if self.sensor is not None:
             check_mount(self.sensor, "`sensor`")
-
-    def check(self, scans: "Iterable[LaserScan]") -> None:
-        """Refuse one pose for several lasers that say where they sit."""
-        if self.sensor is not None and len({scan.laser for scan in scans}) > 1:
-            raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
-
-    def mount(self, scan: "LaserScan") -> "LaserScan":
-        """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
-        scan = scan.flipped if self.flipped else scan
-        return scan if self.sensor is None else replace(scan, T_base_laser=self.sensor)
 
 
 @dataclass(frozen=True)

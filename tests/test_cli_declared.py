@@ -16,7 +16,7 @@ from command import MAPS, ROOT, call
 
 from imgloc.cli import app
 from imgloc.cli.app import program
-from imgloc.cli.command import RENAMED, Only, Without, command, value_of
+from imgloc.cli.command import Only, Without, command, value_of
 from imgloc.errors import ConfigError
 from imgloc.options import ALL_METHODS, Known, Options, Reading, Sensor
 from imgloc.ranges import declared
@@ -88,35 +88,9 @@ def test_each_text_of_the_help_stands_on_its_own(words: str) -> None:
 
 
 @pytest.mark.parametrize("words", COMMANDS)
-def test_no_option_has_two_meanings_or_an_old_name(words: str) -> None:
+def test_no_option_has_two_meanings(words: str) -> None:
     names = flags(COMMANDS[words])
     assert len(names) == len(set(names))
-    assert not {name.removeprefix("--") for name in names} & set(RENAMED)
-
-
-@pytest.mark.parametrize(
-    ("words", "new"),
-    [
-        (("simulate", "curved", "--mount", "0,0,0"), "--sensor"),
-        (("evaluate", "curved", "--mounted", "0,0,0"), "--sensor"),
-        (("batch", "maps", "--reach", "9"), "--range-max"),
-        (("evaluate", "curved", "--methods=fused"), "--method"),
-        (("calibrate", "curved", "--methods", "ght"), "--method"),
-        (("track", "curved", "a.npz", "--filters", "grid"), "--filter"),
-        (("localize", "curved", "s.npz", "--index", "3"), "--scans-index"),
-        (("which", "maps", "s.npz", "--index", "i.npz"), "--maps-index"),
-    ],
-)
-def test_an_old_name_tells_the_new_one(words: tuple[str, ...], new: str) -> None:
-    run = call(*words)
-    old = next(word for word in words if word.startswith("--")).partition("=")[0]
-    said = f"imgloc: error: {old}: expected {new}, which is its name now\n"
-    assert (run.code, run.out, run.err) == (2, "", said)
-
-
-def test_every_new_name_exists() -> None:
-    known = {name for one in COMMANDS.values() for name in flags(one)}
-    assert {new for names in RENAMED.values() for new in names} <= known
 
 
 @pytest.mark.parametrize(
@@ -174,7 +148,7 @@ def test_a_command_takes_fields_of_dataclasses() -> None:
     app = typer.Typer()
     app.command()(command(some))
     made = typer.main.get_command(app)
-    assert {"--method", "--top", "--sigma", "--range-max", "--debug"} <= set(flags(made))
+    assert {"--method", "--top", "--sigma", "--range-max"} <= set(flags(made))
     assert not {"--engine", "--sensor", "--rays"} & set(flags(made))
     made(["--top", "4", "--sigma", "0.1"], standalone_mode=False)
     assert seen == [Options(top=4), Sensor(sigma=0.1)]

@@ -329,7 +329,7 @@ def test_the_command_to_go_on_with_has_what_was_typed(
 
 def test_each_option_of_inspect_is_tried() -> None:
     (text,) = [call("inspect", "--help").out]
-    own = {"--json", "--picture", "--force", "--verbose", "--debug", "--help"}
+    own = {"--json", "--picture", "--force", "--help"}
     named = set(re.findall(r"--[a-z][a-z-]+", text.split("Options:")[1].split("Examples:")[0]))
     there = {
         word for word in named if re.search(rf"^ +(-\S, )?({word}|--\S+ / {word})\b", text, re.M)

@@ -32,7 +32,7 @@ from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options
 
-LOG = logging.getLogger(__name__)
+LOG = logging.getLogger("imgloc")
 LEVEL = number("folder_index.level")
 """Level of the pyramid in the index: its cells are four times as large as those of the poses."""
 # Readings of a scan: many, because a map that is dropped here is not looked at again.

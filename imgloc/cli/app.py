@@ -45,6 +45,10 @@ def root(
     version: bool = typer.Option(
         False, "--version", callback=_version, is_eager=True, help="Print the version."
     ),
+    verbose: bool = typer.Option(
+        False, "--verbose", "-v", help="Log each step of a command to standard error."
+    ),
+    debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
 ) -> None:
     """Options of the program itself."""
 
@@ -202,6 +206,7 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
+_SWITCHES, _ENDS = ("--verbose", "-v", "--debug"), ("--", "--ros-args")
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
 
@@ -304,4 +309,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     known = {name for commands in _GROUPS.values() for name in commands} | {"cache"}
     # The completion of a shell has its words elsewhere.
     named = known if "_IMGLOC_COMPLETE" in os.environ else known & set(words)
+    # Switches of the program may stand anywhere in the line.
+    own = words[: next((k for k, word in enumerate(words) if word in _ENDS), len(words))]
+    first = [word for word in own if word in _SWITCHES]
+    words = [*first, *(word for word in own if word not in _SWITCHES), *words[len(own) :]]
     _program_of(frozenset(named))(words, prog_name="imgloc")

@@ -12,7 +12,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Given, Only, Without
-from imgloc.cli.console import bar_of, emit, say
+from imgloc.cli.console import emit, is_terminal, progress, say
 from imgloc.doors import JOBS
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
@@ -253,34 +253,18 @@ def _cluster(
 
 @contextlib.contextmanager
 def _progress(todo: "list[Item]") -> Iterator[Callable[[bool], None]]:
-    """A bar with items/s, failures and time left on a terminal; elsewhere a line a minute."""
+    """A bar with items/s and failures on a terminal; elsewhere a line a minute."""
     start = said = time.monotonic()
     done = failed = 0
-    with contextlib.ExitStack() as stack:
-        bar = None
-        if sys.stderr is not None and sys.stderr.isatty():
-            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-            from rich.progress import TimeRemainingColumn as Remaining
-
-            columns = (
-                BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-                TextColumn("{task.fields[failed]:,} failed,"), Remaining(compact=True),
-                TextColumn("left"),
-            )  # fmt: skip
-            bar = stack.enter_context(bar_of(*columns))
-            task = bar.add_task("batch", total=len(todo), failed=0, rate="")
+    with progress("batch", len(todo), lines=False) as show:
 
         def advance(bad: bool) -> None:
             nonlocal done, failed, said
             failed, done, now = failed + bad, done + 1, time.monotonic()
             rate = done / max(now - start, 1e-3)
-            if bar is not None:
-                bar.update(task, advance=1, failed=failed, rate=f"{rate:.1f} items/s,")
-            elif now - said >= _EVERY:
+            show(so := f"{failed:,} failed, {rate:.2g} items/s")
+            if now - said >= _EVERY and not is_terminal(sys.stderr):
                 said, left = now, (len(todo) - done) / rate / 60
-                say(
-                    f"{done:,} of {len(todo):,} items, {failed:,} failed, {rate:.2g} items/s, "
-                    f"{left:.0f} min left"
-                )
+                say(f"{done:,} of {len(todo):,} items, {so}, {left:.0f} min left")
 
         yield advance

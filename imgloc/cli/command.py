@@ -4,7 +4,7 @@ A parameter is an option itself, annotated as the fields of :mod:`imgloc.options
 dataclass of such fields: each field with an :class:`~imgloc.ranges.Option` becomes an option, and
 the command gets the dataclass. ``Annotated[Options, Only("method", "top")]`` takes some fields,
 ``Annotated[Sensor, Without("mount")]`` all others. A parameter ``given: Given`` gets the names of
-the options that were typed, ``typed: Typed`` their words. Every command has --verbose and --debug.
+the options that were typed, ``typed: Typed`` their words.
 """
 
 import contextlib
@@ -20,31 +20,16 @@ import typer
 from typer.core import TyperCommand
 
 from imgloc import ranges
-from imgloc.cli.console import configure
 from imgloc.cli.typed import as_typed
 from imgloc.errors import ConfigError
 from imgloc.ranges import Declared, OneOf, Option, declaration, declared, help_of
 from imgloc.texts import WITH_COMMAS
 
-#: Names that options had, and what they are called now: the first one that the command has.
-RENAMED: Mapping[str, tuple[str, ...]] = {
-    "mount": ("--sensor",),
-    "mounted": ("--sensor",),
-    "reach": ("--range-max",),
-    "methods": ("--method",),
-    "filters": ("--filter",),
-    "index": ("--scans-index", "--maps-index"),
-}
-_IN_YAML = "imgloc map check MAP with it and with --write YAML makes a YAML that has it"
-#: Options that a command has not, or not any more, and what does it now.
+#: Options that a command does not have, and what to do instead.
 GONE: Mapping[str, str] = {
-    "exact-argmax": "leave it out: --method cbml finds the maximum of the whole stack",
-    "kidnap": "python -m tools.sequences, in a checkout, tries robots that are carried off",
-    "simulate-odometry": "--odom scans takes the motion from the scans",
-    "sequence": "python -m tools.sequences, in a checkout, measures filters along a log",
-    **dict.fromkeys(("mode", "occupied-thresh", "free-thresh", "negate", "no-negate"), _IN_YAML),
-    "starts": "python -m tools.sequences, in a checkout, measures filters along a log",
-}
+    **dict.fromkeys(("mode", "occupied-thresh", "free-thresh", "negate", "no-negate", "semantics"),
+                    "imgloc map check MAP with it and with --write YAML makes a YAML that has it"),
+}  # fmt: skip
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
@@ -81,7 +66,7 @@ class Without(Only):
 
 
 class Command(TyperCommand):
-    """A command that knows what its options were called before; its help has groups."""
+    """A command whose help has groups, and which knows what else to do for some options."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, the usual options, and the others by what they are about."""
@@ -109,17 +94,13 @@ class Command(TyperCommand):
         return as_typed(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line; an old name is a ConfigError that has the new one."""
+        """Parse the command line; an option of other commands is a ConfigError with a hint."""
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
             name = old.removeprefix("--")
             if old != name and name in GONE and old not in own:
                 raise ConfigError(f"{old}: is no option here; {GONE[name]}")
-            names = RENAMED.get(name, ())
-            new = next((name for name in names if name in own), None)
-            if new is not None and old not in own:
-                raise ConfigError(f"{old}: expected {new}, which is its name now")
             if old.lstrip("-") in ("output", "o") and old not in own:
                 also = ", and --picture FILE draws them" if "--picture" in own else ""
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
@@ -162,8 +143,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     ]
 
     @functools.wraps(function)
-    def run(*, verbose: bool, debug: bool, **raw: Any) -> None:
-        configure(verbose=verbose, debug=debug)
+    def run(**raw: Any) -> None:
         values: dict[str, Any] = {name: raw[name] for name in context}
         typed = Typed()
         with _flags_for(flags):
@@ -176,7 +156,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             values |= {name: typed for name, hint in aside.items() if hint == Typed}
             function(**values)
 
-    signature = inspect.Signature([*parameters, *_SWITCHES])
+    signature = inspect.Signature(parameters)
     run.__signature__ = signature  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
     return run
@@ -279,16 +259,3 @@ def _flags_for(flags: Mapping[tuple[str, str], str]) -> Iterator[None]:
         if found is None or flag is None:
             raise
         raise ConfigError(f"{flag}: {str(error)[found.end() :]}") from None
-
-
-def _switch(name: str, text: str, *flags: str) -> inspect.Parameter:
-    return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=typer.Option(False, *flags, help=text),
-        annotation=bool
-    )  # fmt: skip
-
-
-_SWITCHES = (
-    _switch("verbose", "Log each step to standard error.", "--verbose", "-v"),
-    _switch("debug", "Show the traceback of an error.", "--debug"),
-)

@@ -14,7 +14,6 @@ import shutil
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import typer
@@ -27,9 +26,6 @@ LOG = logging.getLogger("imgloc")
 NOT_UNIQUE = 6  # exit code under --strict
 INTERRUPTED = 128 + 2  # as a shell reports a process that SIGINT ended
 PIPE_CLOSED = 128 + 13  # and SIGPIPE
-
-
-_SESSION = SimpleNamespace(debug=False)  # switches of one run of the command line
 
 
 _SECTIONS = {
@@ -82,7 +78,8 @@ class Group(Subgroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; what it raises becomes one line and a typer.Exit with the exit code."""
-        configure(verbose=False, debug=False)
+        debug = ctx.params["debug"]
+        configure(verbose=ctx.params["verbose"])
         try:
             result = super().invoke(ctx)
             _flush()
@@ -95,7 +92,7 @@ class Group(Subgroup):
         except Exception as e:
             if isinstance(e, typer.Exit | typer.Abort) or hasattr(e, "show"):
                 raise  # the last is a usage error, which Typer prints itself
-            if _SESSION.debug:
+            if debug:
                 print(printable(traceback.format_exc()), file=sys.stderr, flush=True)
             message = " ".join(str(e).split())
             if isinstance(e, ImglocError):
@@ -116,9 +113,8 @@ class _Lines(logging.Formatter):
         return printable(as_options(super().format(record)))
 
 
-def configure(*, verbose: bool, debug: bool) -> None:
-    """Set the switches of this run: logs on standard error, tracebacks."""
-    _SESSION.debug = debug
+def configure(*, verbose: bool) -> None:
+    """Log to standard error: warnings, and each step if `verbose`."""
     handler = logging.StreamHandler()  # of this run's stderr
     handler.setFormatter(_Lines("imgloc: %(message)s"))
     said = set[str]()  # a map that is read twice has one word of warning
@@ -133,31 +129,6 @@ def configure(*, verbose: bool, debug: bool) -> None:
     LOG.handlers[:] = [handler]
     LOG.propagate = False
     LOG.setLevel(logging.INFO if verbose else logging.WARNING)
-
-
-@contextlib.contextmanager
-def listening(heard: Callable[[logging.LogRecord], bool]) -> Iterator[None]:
-    """Let `heard` know what is logged; it returns whether that is printed, too."""
-    LOG.addFilter(heard)
-    try:
-        yield
-    finally:
-        LOG.removeFilter(heard)
-
-
-@contextlib.contextmanager
-def left_out() -> Iterator[list[str]]:
-    """Collect the warnings about lines that readers leave out, to be repeated at the end."""
-    notes = list[str]()
-
-    def heard(record: logging.LogRecord) -> bool:
-        text = record.getMessage()
-        if getattr(record, "code", None) in ("broken", "cut") and text not in notes:
-            notes.append(text)
-        return True
-
-    with listening(heard):
-        yield notes
 
 
 def emit(text: str) -> None:
@@ -177,9 +148,7 @@ def emit(text: str) -> None:
 
 def width() -> int | None:
     """Columns of the terminal that the result goes to; None if it goes elsewhere."""
-    if sys.stdout is None or not sys.stdout.isatty():
-        return None
-    return shutil.get_terminal_size().columns
+    return shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
 
 
 def say(message: str) -> None:
@@ -188,14 +157,9 @@ def say(message: str) -> None:
         print(f"imgloc: {printable(as_options(message))}", file=sys.stderr, flush=True)
 
 
-def bar_of(*columns: Any) -> Any:
-    """A progress bar of rich on standard error, which goes when it is done."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    # Without the redirection: results go to stdout, where they belong.
-    to = Console(stderr=True)
-    return Progress(*columns, console=to, transient=True, redirect_stdout=False)
+def is_terminal(stream: Any) -> bool:
+    """Return whether a stream of this program leads to a terminal."""
+    return stream is not None and bool(stream.isatty())
 
 
 @contextlib.contextmanager
@@ -205,19 +169,21 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     What it yields is to be called after each of `total` steps, with a note if there is one to
     show. If each of several writes `lines` of the result to a terminal, those are progress enough.
     """
-    crowded = lines and total != 1 and sys.stdout is not None and sys.stdout.isatty()
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-    if not terminal or crowded or LOG.isEnabledFor(logging.INFO):
+    crowded = lines and total != 1 and is_terminal(sys.stdout)
+    if not is_terminal(sys.stderr) or crowded or LOG.isEnabledFor(logging.INFO):
         yield lambda *_, **__: None
         return
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining(),
         TextColumn("{task.fields[note]}")
     )  # fmt: skip
-    with bar_of(*columns) as bar:
+    # Without the redirection: results go to stdout, where they belong.
+    to = Console(stderr=True)
+    with Progress(*columns, console=to, transient=True, redirect_stdout=False) as bar:
         task = bar.add_task(title, total=total if total > 1 else None, note="")
 
         def advance(note: str = "") -> None:

@@ -1,16 +1,15 @@
 """`imgloc inspect`: what is in a log or a map, before it is used."""
 
 import contextlib
-import logging
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Typed
-from imgloc.cli.console import LOG, emit, listening
+from imgloc.cli.console import LOG, emit
 from imgloc.errors import ConfigError, ScanError, as_options
 from imgloc.io.files import display
 from imgloc.options import Logs, MemoryBudget, Mounting, Options
@@ -129,19 +128,23 @@ class _Look:
 
     def at(self, path: Path, *, as_json: bool, picture: Path | None, force: bool) -> None:
         """Look at a log, print what is in it, draw it."""
+        from imgloc.answers.causes import Cause
         from imgloc.answers.logcheck import check_log, on_map
         from imgloc.cli import inputs
+        from imgloc.io.badlines import warned
         from imgloc.io.calibration import calibrated
         from imgloc.io.kinds import kinds_of
         from imgloc.model import to_json
         from imgloc.output.inspection import draw_log, log_row, log_text
 
         form, kinds = ("standard input", []) if str(path) == "-" else kinds_of(path)
-        with _heard(inputs.name_of(path)):
+        with warned():
             logs, more = self._topic(path, form, kinds)
-        with _heard(inputs.name_of(path)) as notes:
+        with warned() as said:
             how = inputs.as_recorded(logs, mounting=self.mounting)
             scans = self.desk.scans(path, how).scans
+        name = f"{inputs.name_of(path)}: "
+        notes = [Cause(code, text.removeprefix(name), serious=False) for text, code in said.items()]
         report = check_log(scans, [*notes, *more], how.given)
         if self.map is not None:
             features = self.desk.features(self.map, self.how, Options(), scans=scans.scans)
@@ -198,21 +201,3 @@ class _Look:
 
 def _quoted(typed: Typed) -> list[str]:
     return [shlex.quote(word) for words in typed.values() for word in words]
-
-
-@contextlib.contextmanager
-def _heard(name: str) -> "Iterator[list[Cause]]":
-    """What readers of the file `name` warn of, as findings; it is not printed besides."""
-    from imgloc.answers.causes import Cause
-
-    notes = list[Cause]()
-
-    def heard(record: logging.LogRecord) -> bool:
-        if record.levelno < logging.WARNING:
-            return True
-        text = record.getMessage().removeprefix(f"{name}: ")
-        notes.append(Cause(getattr(record, "code", "reader"), text, serious=False))
-        return False
-
-    with listening(heard):
-        yield notes

@@ -25,7 +25,7 @@ def check(
     strict: bool = option(False, "Exit with code 3 if there is any warning."),
     write: Path | None = option(
         None,
-        "Write a YAML that reads the map as it is read here. --semantics is no key of a YAML.",
+        "Write a YAML that reads the map as it is read here. Only imgloc knows the key semantics.",
         metavar="YAML",
     ),
     memory_budget: MemoryBudget | None = None,
@@ -59,7 +59,7 @@ def show(
     *,
     map_path: opt.MapPath,
     out: Path = option(..., "Picture that is written.", metavar="PNG"),
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     what: Annotated[str, OneOf(*SUBJECTS)] = option(
         "map",
         "What is drawn: the map as it is read; the blurred map (bmap); its blurred normals "

@@ -28,7 +28,7 @@ class RosCommand(Command):
 def node(
     *,
     context: typer.Context,
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     taken: opt.Resources,
     map_path: Path | None = option(
         None,

@@ -148,7 +148,9 @@ class MapImages(Reading, total=False):
 
 
 #: Where the map's YAML has the other options; `imgloc map check --write` puts them there.
-MapFrame = Annotated[MapImages, Without("mode", "occupied_thresh", "free_thresh", "negate")]
+MapFrame = Annotated[
+    MapImages, Without("mode", "semantics", "occupied_thresh", "free_thresh", "negate")
+]
 
 
 def for_each(

@@ -37,7 +37,7 @@ Port = Annotated[int, Within(0, 65_535, "")]
 
 def serve(
     *,
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     taken: opt.Resources,
     maps: list[Path] = option(
         [],
@@ -110,7 +110,6 @@ def open(  # noqa: A001 (the command's name)
     if scans_path is not None:
         how = inputs.as_recorded(logs, chosen, mounting)
         there = inputs.desk_of(**vars(taken)).scans(scans_path, how)
-        mounting.check(there.scans.scans)
         chosen_few = None if len(there.indices) == there.total else tuple(there.indices)
         opened = ScansHeld(
             there.name, _recorded(there, logs, mounting), options=_passed(typed, Logs, vars(logs)),

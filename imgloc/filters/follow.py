@@ -32,7 +32,7 @@ from imgloc.robot.lasers import Laser, Lasers
 from imgloc.robot.stamps import LEAP
 from imgloc.search.protection import protection
 
-LOG = logging.getLogger(__name__)
+LOG = logging.getLogger("imgloc")
 
 DEVIATION: tuple[float, float] = number("follow.deviation")
 """Default standard deviations of a pose that is given to a filter: metres and radians."""

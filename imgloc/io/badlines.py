@@ -14,24 +14,23 @@ _SHOWN = 3  # lines that a note names
 
 
 @contextlib.contextmanager
-def warned() -> Iterator[list[str]]:
-    """Collect what readers in this thread warn of, each text once; it is not printed besides.
+def warned(*, also_printed: bool = False) -> Iterator[dict[str, str]]:
+    """Collect the warnings of this thread: each text once, with the code of its finding.
 
     Examples
     --------
     >>> with warned() as texts:
     ...     BadLines("a.jsonl").cut("a.jsonl: line 9")
     >>> texts
-    ['a.jsonl: line 9: the last line was cut off and is left out']
+    {'a.jsonl: line 9: the last line was cut off and is left out': 'cut'}
     """
-    texts, thread = list[str](), threading.get_ident()
+    texts, thread = dict[str, str](), threading.get_ident()
 
     def heard(record: logging.LogRecord) -> bool:
         if record.levelno < logging.WARNING or record.thread != thread:
             return True
-        if (text := record.getMessage()) not in texts:
-            texts.append(text)
-        return False
+        texts.setdefault(record.getMessage(), getattr(record, "code", "reader"))
+        return also_printed
 
     _LOG.addFilter(heard)
     try:
@@ -49,7 +48,7 @@ def held() -> Iterator[None]:
     >>> with warned() as texts, held():
     ...     BadLines("a.jsonl").cut("a.jsonl: line 9")
     ...     texts
-    []
+    {}
     >>> len(texts)
     1
     """

@@ -30,7 +30,7 @@ from imgloc.io.files import PathLike, display, open_file, reason
 from imgloc.io.own import map_arrays, write_arrays
 from imgloc.model import OccupancyGrid
 
-LOG = logging.getLogger(__name__)
+LOG = logging.getLogger("imgloc")
 Arrays = Mapping[str, npt.NDArray[Any]]
 LIMIT_MIB = 2048
 """MiB that the entries of a folder may take, unless the environment has ``IMGLOC_CACHE_MIB``."""

@@ -20,7 +20,7 @@ from imgloc.io.own import read_json
 from imgloc.model import OccupancyGrid
 from imgloc.options import DEFAULTS, Calibration, Drawn, Options, Shared
 
-LOG = logging.getLogger(__name__)
+LOG = logging.getLogger("imgloc")
 
 _FORMAT = 1
 _MOST = 1 << 20  # bytes; what is longer is not such a file

@@ -41,7 +41,14 @@ from imgloc.io.files import (
     write_text_atomic,
 )
 from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, decode_image, encode_png, read_image
-from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml, parse_map_yaml
+from imgloc.io.mapyaml import (
+    MODES,
+    RESOLUTION_RANGE,
+    SEMANTICS,
+    MapYaml,
+    load_map_yaml,
+    parse_map_yaml,
+)
 from imgloc.io.remote import is_address, local
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 from imgloc.options import Reading
@@ -50,7 +57,6 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 _LOG = logging.getLogger("imgloc")
-SEMANTICS = ("nav2", "ros1")
 _THRESHOLDS: dict[str, Any] = {"occupied_thresh": 0.65, "free_thresh": 0.196}
 _DEFAULTS = _THRESHOLDS | {"mode": "trinary", "semantics": "nav2", "negate": False}
 _POSE = "[x, y, yaw] in metres and radians"
@@ -108,8 +114,8 @@ def load_map(
         Pose of the lower-left corner in the map frame, m and rad; (0, 0, 0) for an image.
     mode : {'trinary', 'scale', 'raw'}, optional
         Default trinary; see :func:`occupancy`.
-    semantics : {'nav2', 'ros1'}
-        Whose reading of thresholds and transparency; default nav2.
+    semantics : {'nav2', 'ros1'}, optional
+        Whose reading of thresholds and transparency; default nav2. A YAML may have this key, too.
     occupied_thresh, free_thresh : float, optional
         Occupancies, ``0 <= free_thresh < occupied_thresh <= 1``; default 0.65 and 0.196.
     negate : bool, optional
@@ -344,34 +350,32 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
     png = target.with_suffix(".png")
     for file in () if force else (target, png):
         refuse_existing(file)
-    pixels = np.full(grid.occupied.shape, 205, np.uint8)
-    pixels[grid.free] = 254
-    pixels[grid.occupied] = 0
-    said = {
-        "image": png.name,
-        "resolution": float(grid.resolution),
-        "origin": [grid.origin.x, grid.origin.y, grid.origin.theta],
-        "negate": 0,
-        **_THRESHOLDS,
-        "mode": "trinary",
-    }
-    text = yaml.safe_dump(said, sort_keys=False, allow_unicode=True)
-    write_bytes_atomic(png, encode_png(pixels[::-1]), force=force)
+    frame = float(grid.resolution), grid.origin
+    text = yaml_text(MapSettings(png, *frame, **_DEFAULTS), target.parent)
+    write_bytes_atomic(png, map_png(grid), force=force)
     write_text_atomic(target, text, force=force)
     return png
 
 
+def map_png(grid: OccupancyGrid) -> bytes:
+    """A map as the PNG that map_saver would write: occupied 0, free 254, unknown 205."""
+    pixels = np.full(grid.occupied.shape, 205, np.uint8)
+    pixels[grid.free] = 254
+    pixels[grid.occupied] = 0
+    return encode_png(pixels[::-1])
+
+
 def yaml_text(settings: MapSettings, folder: Path) -> str:
     """The YAML, for a file in a folder, by which map_server reads an image as `settings` say."""
-    origin = settings.origin
     said = {
         "image": Path(os.path.relpath(settings.image, folder)).as_posix(),
         "resolution": settings.resolution,
-        "origin": [round(v, 6) for v in (origin.x, origin.y, origin.theta)],
+        "origin": list(settings.origin),
         "negate": int(settings.negate),
         "occupied_thresh": settings.occupied_thresh,
         "free_thresh": settings.free_thresh,
         "mode": settings.mode,
+        **({} if settings.semantics == SEMANTICS[0] else {"semantics": settings.semantics}),
     }
     return str(yaml.safe_dump(said, sort_keys=False, allow_unicode=True))
 

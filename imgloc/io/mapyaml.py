@@ -16,6 +16,7 @@ from imgloc.model import Pose2D
 MAX_YAML_BYTES = 65_536
 _MOST = 256  # keys and values; imgloc knows eight keys
 MODES = ("trinary", "scale", "raw")
+SEMANTICS = ("nav2", "ros1")
 RESOLUTION_RANGE = (0.001, 10.0)
 # YAML 1.1, hence PyYAML, takes `5e-2` and `-.5` for strings.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -51,6 +52,7 @@ def _pose(value: list[float]) -> Pose2D | None:
 _CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
     ("image", _path, "the path of the image"),
     ("mode", lambda v: m if (m := str(v).lower()) in MODES else None, "trinary, scale or raw"),
+    ("semantics", lambda v: v if v in SEMANTICS else None, "nav2 or ros1"),
     ("negate", lambda v: bool(v) if v in (0, 1) else None, "0 or 1"),
     ("resolution", _number_in(*RESOLUTION_RANGE), "metres per cell, 0.001 to 10"),
     ("origin", _triple, "[x, y, yaw] in metres and radians"),
@@ -71,6 +73,7 @@ class MapYaml:
     resolution: float | None = None  #: metres per cell
     origin: Pose2D | None = None  #: of the lower-left corner of the lower-left pixel, map frame
     mode: str | None = None  #: ``trinary``, ``scale`` or ``raw``
+    semantics: str | None = None  #: ``nav2`` or ``ros1``; a key of imgloc's own
     negate: bool | None = None  #: whether white is occupied
     occupied_thresh: float | None = None  #: an occupancy, 0..1, as the next
     free_thresh: float | None = None

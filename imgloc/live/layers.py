@@ -13,13 +13,13 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, in_grid_frame, inside, transform_points, wrap
 from imgloc.io.images import encode_png
+from imgloc.io.maps import map_png
 from imgloc.model import BoolArray, FloatArray, Likelihood, OccupancyGrid, Pose2D, plain
 from imgloc.options import DEFAULTS, LOG_METHODS
 from imgloc.output.canvas import wheel
 
 _NEAR = 3.0  # metres, up to which distances have greys of their own: where robots are
 _CORNERS = 360  # of what is seen from a place
-_OCCUPIED, _UNKNOWN, _FREE = 0, 205, 254  # as map_saver writes them
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,7 @@ def _grey(values: npt.ArrayLike, resolution: float, low: float, high: float) -> 
 
 def map_layer(grid: OccupancyGrid) -> Layer:
     """A map as map_saver would write it."""
-    pixels = np.full(grid.occupied.shape, _UNKNOWN, np.uint8)
-    pixels[grid.free] = _FREE
-    pixels[grid.occupied] = _OCCUPIED
-    return Layer(encode_png(pixels[::-1]), grid.resolution, 0, 255)
+    return Layer(map_png(grid), grid.resolution, 0, 255)
 
 
 def feature_layer(features: MapFeatures, what: str) -> Layer:

@@ -72,9 +72,7 @@ FIT = (
 )  # fmt: skip
 UPLOAD = (
     _own("name", "What the map is called; its id is another.", Annotated[str, NAME]),
-    *(option(opt.Reading, key) for key in
-      ("resolution", "origin", "mode", "occupied_thresh", "free_thresh", "negate")),
-    option(opt.Reading, "semantics", default="nav2"),
+    *(option(opt.Reading, key) for key in opt.Reading.__annotations__ if key != "max_pixels"),
     _own("allow_lossy", "Accept a JPEG or a lossy WebP.", bool, False),
 )  # fmt: skip
 _FIRST = Annotated[int, Within(0, 1e9, "")]

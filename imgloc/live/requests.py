@@ -30,9 +30,10 @@ from imgloc.io.scanset import MAX_RAYS, ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 from imgloc.live.bounds import MIB, Bounds
 from imgloc.live.problems import Refused
-from imgloc.model import LaserScan, OccupancyGrid, check_mount
+from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Reading
 from imgloc.ranges import Matches
+from imgloc.runs.opening import ScanFiles
 
 JSON, FORM = "application/json", "multipart/form-data"
 _ENDINGS = (*SCAN_ENDINGS, ".yaml", ".yml")
@@ -229,20 +230,11 @@ def _scan_of(body: bytes) -> ScanSet:
 
 def taken(scan: LaserScan, how: Mapping[str, Any]) -> LaserScan:
     """The scan as the parameters say that it was taken: its reach, and how the sensor sits."""
-    if how.get("range_scale"):
-        scan = scan.scaled(how["range_scale"])
-    scan = scan.flipped if how.get("flipped") else scan
-    cut = how.get("range_max")
-    if cut is not None and cut < scan.range_max:
-        if cut <= scan.range_min:
-            low = f"range_min, {scan.range_min:g} m"
-            raise ScanError(f"range_max: got {cut:g}, expected more than the scan's {low}")
-        scan = replace(scan, range_max=cut)
-    sensor = how.get("sensor")
-    if sensor is None:
-        return scan
-    check_mount(sensor, "`sensor`")
-    return replace(scan, T_base_laser=sensor)
+    files = ScanFiles(
+        scale=how.get("range_scale") or 1.0, range_max=how.get("range_max"),
+        flipped=bool(how.get("flipped")), mount=how.get("sensor"),
+    )  # fmt: skip
+    return files.mounted(scan)
 
 
 def map_of(

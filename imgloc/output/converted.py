@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from imgloc.io.scans import write_npz
 from imgloc.io.scanset import ScanSet
 from imgloc.model import Pose2D
 from imgloc.output.ros import Bag
+from imgloc.output.rows import scan_row
 
 _ANY = "JSON lines can contain such scans: end the name in .jsonl"
 
@@ -76,29 +76,7 @@ def csv_of(scans: ScanSet) -> str:
 
 def jsonl_of(scans: ScanSet) -> str:
     """An object a line, with the names of sensor_msgs/LaserScan."""
-    lines = list[str]()
-    for k, scan in enumerate(scans.scans):
-        mount = scan.T_base_laser
-        entry: dict[str, Any] = {
-            "stamp": None if math.isnan(scan.stamp) else scan.stamp,
-            "angles": scan.angles.tolist(), "range_min": scan.range_min,
-            "range_max": scan.range_max, "time_increment": scan.time_increment or None,
-            "pose": None if scans.poses is None else scans.poses[k].tolist(),
-            "odom": None if scans.odom is None else scans.odom[k].tolist(),
-            "mount": None if mount is None else list(mount), "laser": scan.laser or None,
-            "ranges": scan.ranges.tolist(),
-        }  # fmt: skip
-        lines.append(json.dumps({key: _plain(v) for key, v in entry.items() if v is not None}))
-    return "\n".join(lines) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """A value without the numbers that JSON lacks."""
-    if isinstance(value, list):
-        return None if all(v != v for v in value) and len(value) == 3 else [*map(_plain, value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value
+    return "".join(f"{json.dumps(scan_row(scans, k))}\n" for k in range(len(scans)))
 
 
 def mcap_of(scans: ScanSet) -> bytes:

@@ -12,11 +12,12 @@ import numpy as np
 
 from imgloc.__about__ import __version__
 from imgloc.answers.explain import Explanation
+from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import in_grid_frame, rotate_covariance
 from imgloc.model import Hypothesis, Pose2D, base_of
 from imgloc.output import svg
 from imgloc.output.export import flat
-from imgloc.output.pictures import draw_likelihood
+from imgloc.output.pictures import draw_hypotheses, draw_likelihood
 from imgloc.output.tables import difference
 
 HEADLINES = {
@@ -40,6 +41,9 @@ def render_explanation(
     what to look at next.
     """
     poses, rays = [f.hypothesis.pose for f in e.fits], [f.rays for f in e.fits]
+    local = None if truth is None else in_grid_frame(truth, e.grid)
+    some, points = [f.hypothesis for f in e.fits[:DRAWN]], scan_xy(e.scan)[e.scan.valid]
+    overview = draw_hypotheses(e.grid, points, some, truth=local, title=title)
     return svg.ENVIRONMENT.get_template("explain.html").render(
         e=e,
         title=title,
@@ -48,12 +52,7 @@ def render_explanation(
         version=version,
         drawn=DRAWN,
         headlines=HEADLINES,
-        overview=svg.draw_overview(
-            e.grid,
-            poses,
-            rays[0] if rays else None,
-            truth=None if truth is None else in_grid_frame(truth, e.grid),
-        ),
+        overview=svg.data_of(overview.image),
         views=svg.window(poses, rays, 400.0) if rays else [],
     )
 

@@ -118,4 +118,4 @@ def scan_row(scans: ScanSet, k: int) -> dict[str, Any]:
             row[key] = dict(zip(("x", "y", "theta"), rows[k].tolist(), strict=True))
     if scan.T_base_laser is not None:
         row["mount"] = plain(scan.T_base_laser)
-    return row
+    return row | ({"laser": scan.laser} if scan.laser else {})

@@ -1,4 +1,4 @@
-"""Drawings of an explanation as SVG: rays on the map, all hypotheses, a covariance, a scan.
+"""Drawings of an explanation as SVG: rays on the map, a covariance, a scan.
 
 Lines stay sharp in print; the map's cells are an image. A kind of ray has a colour and a
 shape, so that neither the colour-blind nor a grey printer loses anything. Here is what is drawn
@@ -7,7 +7,7 @@ where; how it is written is in ``templates/svg.html``, and the page's style shee
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -190,63 +190,12 @@ def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: 
     )
 
 
-def draw_overview(
-    grid: OccupancyGrid, poses: Sequence[Pose2D], best: RayFit | None = None, *,
-    truth: Pose2D | None = None,
-) -> Markup:  # fmt: skip
-    """The whole map with every pose on it, best first, grid frame, and axes.
-
-    The rays of the best one end in dots; the true pose, grid frame, gets a cross.
-    """
-    view = _known_part(grid, [*poses, *([] if truth is None else [truth])], 1000.0)
-    height, width = (n * grid.resolution for n in grid.occupied.shape)
-    (x, y), (x1, y1) = view.at(0, height), view.at(width, 0)
-    ends = ""
-    if best is not None:
-        ends = marks("agrees", view.pixels(best.end[np.isfinite(best.end).all(axis=1)]))
-    return macro(
-        "overview",
-        view=view,
-        grid=map_image(grid, view),
-        frame=(x, y, x1 - x, y1 - y),
-        ends=ends,
-        poses=poses,
-        axes=_axes(grid, view),
-        label=f"The map with {len(poses)} hypotheses",
-        truth=truth,
-    )
-
-
-def _known_part(grid: OccupancyGrid, poses: Sequence[Pose2D], px: float) -> View:
-    """A view of all that is known of a map, as wide as `px` but not much taller than wide."""
-    known = ~grid.unknown
-    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
-    cells = np.array([(columns[0], rows[0]), (columns[-1] + 1, rows[-1] + 1)]) * grid.resolution
-    points = np.concatenate((cells, np.array([(p.x, p.y) for p in poses]).reshape(-1, 2)))
-    view = _around(points, 0.03, 0.0, px)
-    return replace(view, px=min(px, 0.72 * px * view.width / view.height))
-
-
 def _around(points: FloatArray, share: float, more: float, px: float) -> View:
     """A view of points (N, 2) with a margin of a `share` of their longer side and `more` metres."""
     low, high = points.min(axis=0), points.max(axis=0)
     around = share * float((high - low).max()) + more
     (x, y), (width, height) = (low - around).tolist(), (high - low + 2 * around).tolist()
     return View(x, y, width, height, px)
-
-
-def _axes(grid: OccupancyGrid, view: View) -> list[tuple[str, str, float, float]]:
-    """Where x and y of the map frame point, in the lower right corner: name, path, its place."""
-    centre = np.array([view.px - 52, view.tall - 52])
-    axes = []
-    for axis, turn in (("x", 0.0), ("y", np.pi / 2)):
-        along = rotation(turn - grid.origin.theta)[:, 0] * (1, -1)
-        side = along[::-1] * (1, -1)
-        tip, back = centre + 32 * along, centre + 24 * along
-        head = np.array([[back + 4 * side, tip, back - 4 * side]])
-        x, y = (centre + 43 * along + (0, 4)).tolist()
-        axes.append((axis, path(np.array([[centre, tip]])) + path(head), x, y))
-    return axes
 
 
 def draw_covariance(hypothesis: Hypothesis) -> Markup:

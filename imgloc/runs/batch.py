@@ -29,6 +29,7 @@ import cv2
 from imgloc.__about__ import __version__
 from imgloc.choice.choose import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
+from imgloc.io.badlines import warned
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, is_folder, is_there, read_file
 from imgloc.io.folders import files_in, find_maps
@@ -235,18 +236,6 @@ def _warn(texts: Iterable[str], warned: set[str]) -> None:
             _LOG.warning("%s", text if len(warned) <= _WARNED else more)
 
 
-class _Warnings(logging.Handler):
-    """Collects the warnings of a worker while it reads the files of an item."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.texts: dict[str, None] = {}
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep a message, once."""
-        self.texts[record.getMessage()] = None
-
-
 def summarise(rows: Iterable[Row]) -> BatchSummary:
     """Count rows."""
     summary = BatchSummary()
@@ -316,32 +305,30 @@ def work(item: Item, job: Job, means: Means | None = None) -> tuple[Row, dict[st
     """Do a job with an item, in a worker: its row and its pictures by their names."""
     start, means = time.perf_counter(), means or Means()
     row = _row(item, job)
-    cost, pictures, heard = row["cost"], dict[str, bytes](), _Warnings()
-    _LOG.addHandler(heard)
-    try:
-        kept, ms = list[Row](), list[float]()
-        cost["ms"] = ms
-        for answer in job.open(item, means.desk()):
-            kept.append(_keep(answer, cost))
-            ms += [] if answer.ms is None else [round(answer.ms, 3)]
-            if job.pictures == "all" or (job.pictures == "doubtful" and answer.doubtful):
-                made = _drawn(item, answer, means)
-                pictures |= made
-                shown = [name for name in made if name.endswith(".png")]
-                kept[-1] |= {"pictures": shown} if shown else {}
-                page = next((name for name in made if name.endswith(".html")), None)
-                kept[-1] |= {} if page is None else {"page": page}
-    except Exception as error:
-        row["status"] = "failed"
-        row["code"], row["message"] = _reason(error)
-        cost.clear()
-        pictures.clear()
-    else:
-        row["answers"] = plain(kept)
-        cost |= plain(cost)
-    finally:
-        _LOG.removeHandler(heard)
-    cost |= {"warnings": list(heard.texts)} if heard.texts else {}
+    cost, pictures = row["cost"], dict[str, bytes]()
+    with warned() as heard:
+        try:
+            kept, ms = list[Row](), list[float]()
+            cost["ms"] = ms
+            for answer in job.open(item, means.desk()):
+                kept.append(_keep(answer, cost))
+                ms += [] if answer.ms is None else [round(answer.ms, 3)]
+                if job.pictures == "all" or (job.pictures == "doubtful" and answer.doubtful):
+                    made = _drawn(item, answer, means)
+                    pictures |= made
+                    shown = [name for name in made if name.endswith(".png")]
+                    kept[-1] |= {"pictures": shown} if shown else {}
+                    page = next((name for name in made if name.endswith(".html")), None)
+                    kept[-1] |= {} if page is None else {"page": page}
+        except Exception as error:
+            row["status"] = "failed"
+            row["code"], row["message"] = _reason(error)
+            cost.clear()
+            pictures.clear()
+        else:
+            row["answers"] = plain(kept)
+            cost |= plain(cost)
+    cost |= {"warnings": list(heard)} if heard else {}
     cost["seconds"] = round(time.perf_counter() - start, 3)
     return row, pictures
 

@@ -10,8 +10,9 @@ from imgloc.features.pyramid import Level
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
-from imgloc.options import EvidenceModel, FusedOptions, Mounting, Options, Sensor
+from imgloc.options import EvidenceModel, FusedOptions, Options, Sensor
 from imgloc.pipeline import localize, prepare
+from imgloc.runs.opening import ScanFiles
 from imgloc.search.modes import Modes
 from imgloc.search.rescore import Scores
 from imgloc.simulation.scans import simulate, simulate_ranges
@@ -108,11 +109,11 @@ def test_a_sensor_upside_down_sweeps_the_other_way():
     hanging = upside_down(LaserScan(up, angles, range_max=9.0))
     np.testing.assert_allclose(hanging.ranges, down, atol=1e-3)
     # The command's own remedy.
-    told = Mounting(None, flipped=True).mount(hanging)
+    told = ScanFiles(flipped=True).mounted(hanging)
     order = np.argsort(told.angles)
     np.testing.assert_allclose(told.angles[order], angles)
     np.testing.assert_allclose(told.ranges[order], up)
-    assert Mounting(None, flipped=False).mount(hanging) == hanging
+    assert ScanFiles().mounted(hanging) == hanging
 
 
 def test_the_robots_of_mounted_sensors_are_compared():

@@ -49,7 +49,7 @@ def align(
         "ROS ignore the yaw of an origin.",
         metavar="YAML",
     ),
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     recorded: Recorded,
     taken: opt.Resources,
     as_json: opt.AsJson = False,

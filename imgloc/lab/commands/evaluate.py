@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Without
-from imgloc.cli.console import emit, left_out, say, width
+from imgloc.cli.console import emit, say, width
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display, is_there, map_name
 from imgloc.options import (
@@ -93,6 +93,7 @@ def evaluate(
     runs.
     """
     from imgloc.cli import inputs
+    from imgloc.io.badlines import warned
     from imgloc.lab.jobs import Evaluate
     from imgloc.lab.tables import evaluation_tables
     from imgloc.model import to_json
@@ -119,8 +120,8 @@ def evaluate(
         )
         for name in method
     ]
-    table: list[dict[str, Any]] = []
-    with left_out() as notes:
+    table, notes = list[dict[str, Any]](), list[str]()
+    with warned(also_printed=True) as said:
         for k, path in enumerate(maps):
             name = map_name(path)
             item = inputs.item_of(path, None if scans is None else scans[k], name)
@@ -134,7 +135,8 @@ def evaluate(
                 notes += jobs[0].doubts(item, desk)
     if not as_json:
         emit(evaluation_tables(table, width()))
-    for note in notes:
+    # Lines that were left out are told once more, below the table.
+    for note in [*(text for text, code in said.items() if code in ("broken", "cut")), *notes]:
         say(note)
 
 
