@@ -1,36 +1,18 @@
-"""Scans of several files that are located in one map: each once, and which have a sure pose."""
+"""Scans of several files that are located in one map, each once."""
 
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from imgloc.features.floor import as_located
 from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.changes import sure_poses
-from imgloc.model import FloatArray, LaserScan
+from imgloc.model import LaserScan
 from imgloc.options import Chosen
 from imgloc.runs.jobs import Item
 from imgloc.runs.localize import Localize, Located, Locating
 from imgloc.runs.opening import Desk, held_bytes
 
 LOG = logging.getLogger("imgloc")
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """Scans with a sure pose."""
-
-    given: int  #: scans that were located, with a sure pose or not
-    scans: tuple[LaserScan, ...]  #: the readings with which each was located
-    poses: FloatArray  #: (N, 3) of their sensor, map frame: metres, metres, radians
-
-
-def placed(located: Sequence[Located]) -> Placed:
-    """Those of the scans with a sure pose."""
-    sure, poses = sure_poses([one.of for one in located])
-    scans = tuple(as_located(located[k].scan, located[k].of.evidence) for k in sure)
-    return Placed(len(located), scans, poses)
 
 
 @dataclass

@@ -198,27 +198,16 @@ def logs(moved, tmp_path, monkeypatch):
         save_scans(f"logs/{name}.npz", ScanSet(tuple(some)))
 
 
-def batch(*options: object) -> None:
-    given = ("batch", "old.yaml", "logs", "--workers", 1, "--no-cache")
-    call(*given, "--out", "done", *options).ends(0)
-
-
 def aged(*given: object) -> dict:
     found = call("map", "changes", "old.yaml", *given, "--json", "--no-cache").ends(0)
     return json.loads(found.out)
 
 
-def test_several_logs_and_a_batch_of_them_show_the_same_changes(logs):
+def test_several_logs_count_together(logs):
     both = aged("logs/a.npz", "logs/b.npz")
     assert both["given"] == 8
     assert both["gone_m"] > 1.5
     assert aged("logs/a.npz")["given"] == 4
-    batch()
-    assert aged("done") == both
-    assert aged("done", "--scans-index", "0:2")["given"] == 4
-    rows = Path("done/results.jsonl")  # nothing is located again: what the rows say counts
-    rows.write_text(rows.read_text().replace('"unique"', '"ambiguous"', 3))
-    assert aged("done")["scans"] == both["scans"] - 3
 
 
 def test_a_scan_that_several_files_have_counts_once(logs):
@@ -228,67 +217,8 @@ def test_a_scan_that_several_files_have_counts_once(logs):
     found = call(*twice, "--json", "--no-cache")
     assert json.loads(found.out) == once
     assert "copy.npz: 4 of its scans are in a file before, and count once" in found.err
-    batch()
-    assert aged("logs/b.npz", "done", "done") == once
-
-
-def test_a_log_beside_a_batch_counts_at_its_own_poses(logs):
-    both = aged("logs/a.npz", "logs/b.npz")
-    Path("b.npz").write_bytes(Path("logs/b.npz").read_bytes())
-    Path("logs/b.npz").unlink()
-    batch()
-    assert aged("b.npz", "done") == both
-
-
-def test_scans_of_a_batch_are_read_as_it_has_read_them(logs, moved):
-    upside_down = [scan.flipped for scan in scanned(moved[1], POSES)]
-    save_scans("logs/a.npz", ScanSet(tuple(upside_down[:4])), force=True)
-    save_scans("logs/b.npz", ScanSet(tuple(upside_down[4:])), force=True)
-    batch("--flipped", "--sensor", "0.1,0,0", "--scans-index", "1:4")
-    given = ("--flipped", "--sensor", "0.1,0,0", "--scans-index", "1:4")
-    found = aged("done")
-    assert found == aged("logs/a.npz", "logs/b.npz", *given)
-    assert found["given"] == 6
-    assert found["scans"] >= 5
-    wrong = call("map", "changes", "old.yaml", "done", "--flipped")
-    assert (wrong.code, "expected no option for how scans are read" in wrong.err) == (2, True)
 
 
 def test_the_help_says_which_scans_count_once():
     text = " ".join(call("map", "changes", "--help").out.split())
     assert "the same stamp, ranges and angles as another" in text
-
-
-def test_a_batch_that_does_not_fit_is_refused_by_one_error(logs, moved):
-    def refused(*given: object) -> tuple[int, str]:
-        found = call("map", "changes", *given, "--no-cache")
-        assert found.err.count("error:") == 1
-        assert found.out == ""
-        return found.code, found.err
-
-    batch()
-    save_map("new.yaml", OccupancyGrid(moved[1], ~moved[1], 0.1, CORNER))
-    code, err = refused("new.yaml", "done")
-    assert (code, "done: a batch of old.yaml, expected one of new.yaml" in err) == (2, True)
-    code, err = refused("old.yaml", "logs")
-    assert (code, "logs: no run.json" in err) == (2, True)
-    save_scans("logs/b.npz", ScanSet(tuple(scanned(moved[0], POSES))), force=True)
-    code, err = refused("old.yaml", "done")
-    assert (code, "done: b.npz: the file is not there, or not as" in err) == (2, True)
-    Path("logs").rename("moved")
-    code, err = refused("old.yaml", "done")
-    assert (code, "the working folder in which imgloc batch ran" in err) == (2, True)
-    Path("moved").rename("logs")
-    run = json.loads(Path("done/run.json").read_text())
-    for parameters in run["parameters"].values():
-        parameters["scans"]["mount"] = {"x": "far"}
-    Path("done/run.json").write_text(json.dumps(run))
-    code, err = refused("old.yaml", "done")
-    assert (code, "run.json does not state how the scans of" in err) == (1, True)
-
-
-def test_a_batch_of_another_job_is_refused(logs):
-    made = ("batch", "old.yaml", "--job", "check", "--workers", 1, "--out", "done")
-    assert call(*made).code == 0
-    found = call("map", "changes", "old.yaml", "done")
-    assert (found.code, "a batch of the job check, expected localize" in found.err) == (2, True)

@@ -9,7 +9,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import NOT_UNIQUE, emit, say
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.lab.commands.recorded import Recorded
+from imgloc.options import Chosen, Logs, Mounting
 from imgloc.ranges import Option, option
 
 _SCANS = 24  # of a file, unless they are chosen
@@ -50,7 +50,9 @@ def align(
         metavar="YAML",
     ),
     reading: opt.MapFrame,
-    recorded: Recorded,
+    logs: Logs,
+    chosen: Chosen,
+    mounting: Mounting,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 6 unless one place alone matches."),
@@ -86,7 +88,7 @@ def align(
     paths, by_scans = (a_path, b_path), None
     grids = [desk.grid(path, maps, usable=True) for path in paths]
     if scans is not None:
-        job = Localize(maps=maps, scans=recorded.files)
+        job = Localize(maps=maps, scans=inputs.as_recorded(logs, chosen, mounting))
         items = [inputs.item_of(path, scans) for path in paths]
         answers = [[one.of for one in open_some(job, item, desk, _SCANS)] for item in items]
         by_scans = align_scans(list(zip(*answers, strict=True)))

@@ -1,14 +1,14 @@
 """`imgloc map changes`: where a map has aged."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.lab.commands.recorded import Recorded
-from imgloc.ranges import Option, option
+from imgloc.options import Chosen, Logs, Mounting
+from imgloc.ranges import option
 
 _SCANS = 300  # of a file, unless they are chosen
 
@@ -16,14 +16,9 @@ _SCANS = 300  # of a file, unless they are chosen
 def changes(
     *,
     map_path: opt.MapPath,
-    scans_paths: Annotated[
-        list[Path],
-        Option(
-            "Files of scans, or folders of results of imgloc batch; - is standard input.",
-            "SCANS|DIR...",
-            parse=opt.find_scans,
-        ),
-    ],
+    scans_paths: list[Path] = option(
+        ..., "Files of scans; - is standard input.", "SCANS...", parse=opt.find_scans
+    ),
     out: Path | None = option(
         None, "Draw the map with what is gone and what is new into this file.", metavar="PNG"
     ),
@@ -34,7 +29,9 @@ def changes(
         metavar="YAML",
     ),
     reading: opt.MapFrame,
-    recorded: Recorded,
+    logs: Logs,
+    chosen: Chosen,
+    mounting: Mounting,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
     kept: opt.Kept,
@@ -44,19 +41,15 @@ def changes(
 
     Each scan is located without a guess, and only those that are unique count. A change needs 3
     scans from 2 places or times, so passers-by are not counted. Of a file with more than 300 scans
-    300 are taken, evenly spread, unless --scans-index or --sample chooses. DIR is a folder of
-    results of imgloc batch with its job localize: its poses on MAP are used, nothing is located
-    again, and its scans are read as the batch has read them. A scan counts
+    300 are taken, evenly spread, unless --scans-index or --sample chooses. A scan counts
     once: one with the same stamp, ranges and angles as another, in a file before, is left out.
     """
-    import numpy as np
-
     from imgloc.cli import inputs
+    from imgloc.features.floor import as_located
     from imgloc.io.files import map_name
     from imgloc.io.maps import save_map
-    from imgloc.lab.batched import is_batch, read_batch
-    from imgloc.lab.changes import map_changes
-    from imgloc.lab.located import Once, hints_of, open_some, placed
+    from imgloc.lab.changes import map_changes, sure_poses
+    from imgloc.lab.located import Once, hints_of, open_some
     from imgloc.lab.picture import draw_changes
     from imgloc.model import to_json
     from imgloc.runs.localize import Localize
@@ -72,27 +65,17 @@ def changes(
     for path, ending in ((out, ".png"), (update, ".yaml"), (png, ".png")):
         inputs.check_target(path, ending, force=force, inputs=read)
     desk = inputs.desk_of(**vars(taken), cache=folder)
-    job = Localize(maps=inputs.map_files(reading), scans=recorded.files)
+    files = inputs.as_recorded(logs, chosen, mounting)
+    job = Localize(maps=inputs.map_files(reading), scans=files)
     grid = desk.grid(map_path, job.maps, usable=True)
-    batches = [path for path in scans_paths if is_batch(path)]
-    if batches and not recorded.as_they_are:
-        raise ConfigError(
-            f"{display(batches[0])}: its scans are read as imgloc batch has read them; expected no "
-            "option for how scans are read"
-        )
     once = Once()
-    parts = [p for path in batches for p in read_batch(path, map_path, job, desk, _SCANS, once)]
     runs = [
-        open_some(job, inputs.item_of(map_path, path), desk, _SCANS, once)
-        for path in scans_paths
-        if path not in batches
+        open_some(job, inputs.item_of(map_path, path), desk, _SCANS, once) for path in scans_paths
     ]
     located = [one for run in runs for one in run]
-    parts.append(placed(located))
-    hints = hints_of(runs[0], located) if located else []
-    scans = [scan for part in parts for scan in part.scans]
-    found = map_changes(grid, scans, np.concatenate([part.poses for part in parts]))
-    count = sum(part.given for part in parts)
+    sure, poses = sure_poses([one.of for one in located])
+    scans = [as_located(located[k].scan, located[k].of.evidence) for k in sure]
+    found, count = map_changes(grid, scans, poses), len(located)
     if out is not None:
         title = f"{map_name(map_path)}: changes by {found.seen.scans} scans with a sure pose"
         draw_changes(found, title).save(out, force=force)
@@ -103,5 +86,5 @@ def changes(
     for path in (out, update):
         if path is not None:
             say(f"wrote {display(path)}")
-    for hint in hints:
+    for hint in hints_of(runs[0], located):
         LOG.warning("%s", hint)
