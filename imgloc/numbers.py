@@ -16,32 +16,33 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from imgloc.errors import ConfigError
+from imgloc.ranges import Within, check_of
 
 FILE = Path(__file__).with_name("numbers.json")
-_EVER = math.inf
-_DEGREE = math.pi / 180
-#: Each unit: whether its numbers are whole, the least and the greatest, and its size in SI units.
-UNITS: Mapping[str, tuple[bool, float, float, float]] = {
+_WHOLE = Annotated[int, Within(1, 1e9, "")]
+_SHARE = Annotated[float, Within(0, 1, "")]
+_SIZE = Annotated[float, Within(0, 1e6, "")]
+_NATS = Annotated[float, Within(0, math.inf, "")]
+_FACTOR = Annotated[float, Within(1e-6, 1e6, "")]
+#: Each unit, and the numbers that it has in the file.
+UNITS: Mapping[str, Any] = {
     **dict.fromkeys(
         ("blocks", "cells", "components", "directions", "grey levels", "headings", "hypotheses",
-         "level", "maps", "nodes", "places", "poses", "readings", "scans", "searches"),
-        (True, 1, 1e9, 1),
+         "level", "maps", "nodes", "places", "poses", "readings", "scans", "searches"), _WHOLE,
     ),
-    **dict.fromkeys(("share", "probability"), (False, 0, 1, 1)),
+    **dict.fromkeys(("share", "probability"), _SHARE),
     **dict.fromkeys(
         ("metres", "seconds", "metres and seconds", "square metres", "variance", "deviations",
-         "square deviations", "odds", "logarithm", "per reading"),
-        (False, 0, 1e6, 1),
+         "square deviations", "odds", "logarithm", "per reading", "temperature per nat"), _SIZE,
     ),
-    **dict.fromkeys(("nats", "nats per reading"), (False, 0, _EVER, 1)),
-    **dict.fromkeys(("factor", "exponent", "temperature"), (False, 1e-6, 1e6, 1)),
-    "temperature per nat": (False, 0, 1e6, 1),
-    "log-odds": (False, -1e6, 1e6, 1),
-    "radians": (False, 0, 2 * math.pi, 1),
-    "degrees": (False, 0, 360, _DEGREE),
+    **dict.fromkeys(("nats", "nats per reading"), _NATS),
+    **dict.fromkeys(("factor", "exponent", "temperature"), _FACTOR),
+    "log-odds": Annotated[float, Within(-1e6, 1e6, "")],
+    "radians": Annotated[float, Within(0, math.tau, "")],
+    "degrees": Annotated[float, Within(0, 360, "")],
 }  # fmt: skip
 
 
@@ -91,7 +92,8 @@ def read(text: str) -> tuple[dict[str, Origin], dict[str, Number]]:
         one = _made(Number, name, entry)
         if one.source not in sources:
             raise ConfigError(f"{FILE.name}: {name}.source: got {one.source!r}, expected a source")
-        numbers[name] = Number(_value(name, one), _listed(one.unit), one.source, one.costs)
+        unit = tuple(one.unit) if isinstance(one.unit, list) else one.unit
+        numbers[name] = Number(_value(name, one), unit, one.source, one.costs)
     return sources, numbers
 
 
@@ -128,35 +130,26 @@ def _made(kind: Any, name: str, entry: Any) -> Any:
     return kind(**entry)
 
 
-def _listed(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
 def _value(name: str, one: Number) -> Any:
     """A value in SI units, checked by its unit."""
     several = isinstance(one.value, list)
     values = one.value if several else [one.value]
-    unit = _listed(one.unit)
-    units = unit if isinstance(unit, tuple) else (unit,) * len(values)
+    units = one.unit if isinstance(one.unit, list) else [one.unit] * len(values)
     if not values or len(units) != len(values):
         raise ConfigError(f"{FILE.name}: {name}: got {len(values)} values, {len(units)} units")
-    out = [_checked(name, value, unit) for value, unit in zip(values, units, strict=True)]
+    for value, unit in zip(values, units, strict=True):
+        if unit not in UNITS:
+            raise ConfigError(f"{FILE.name}: {name}.unit: got {unit!r}, expected a unit of UNITS")
+        if refused := _CHECKS[unit](value):
+            expected = f"expected {unit}, {refused[1]}"
+            raise ConfigError(f"{FILE.name}: {name}.value: got {value!r}, {expected}")
+    out = [value if UNITS[unit] is _WHOLE
+           else math.radians(value) if unit == "degrees" else float(value)
+           for value, unit in zip(values, units, strict=True)]  # fmt: skip
     return tuple(out) if several else out[0]
 
 
-def _checked(name: str, value: Any, unit: Any) -> float:
-    """One number of a line, as an int if its unit is one of whole numbers."""
-    if unit not in UNITS:
-        raise ConfigError(f"{FILE.name}: {name}.unit: got {unit!r}, expected a unit of UNITS")
-    whole, low, high, size = UNITS[unit]
-    kinds: tuple[type, ...] = (int,) if whole else (int, float)
-    fine = isinstance(value, kinds) and not isinstance(value, bool)
-    if not (fine and low <= value <= high):
-        expected = f"{'a whole number' if whole else 'a number'}, {unit}, {low:g} to {high:g}"
-        raise ConfigError(f"{FILE.name}: {name}.value: got {value!r}, expected {expected}")
-    return value if whole else float(value) * size
-
-
+_CHECKS = {unit: check_of(kind) or (lambda _: None) for unit, kind in UNITS.items()}
 SOURCES, NUMBERS = read(FILE.read_text("utf-8"))
 
 

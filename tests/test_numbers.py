@@ -112,12 +112,12 @@ def test_numbers_are_in_si_units() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"value": -0.1}, "Trust.mass.value: got -0.1, expected a number, share, 0 to 1"),
+        ({"value": -0.1}, "Trust.mass.value: got -0.1, expected share, 0 to 1"),
         ({"value": True}, "Trust.mass.value: got True"),
         ({"value": "0.9"}, "Trust.mass.value: got '0.9'"),
         ({"value": float("nan")}, "Trust.mass.value: got nan"),
         ({"value": []}, "Trust.mass: got 0 values"),
-        ({"unit": "nodes"}, "Trust.mass.value: got 0.9, expected a whole number"),
+        ({"unit": "nodes"}, "Trust.mass.value: got 0.9, expected nodes, a whole number"),
         ({"unit": "furlongs"}, "Trust.mass.unit: got 'furlongs'"),
         ({"unit": ["share", "share"]}, "Trust.mass: got 1 values, 2 units"),
         ({"source": "hearsay"}, "Trust.mass.source: got 'hearsay'"),

@@ -1,15 +1,11 @@
 """The atlas of a map: where one scan is enough. A scan is simulated and located at every place."""
 
-import multiprocessing
-import os
-import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError, MapError
@@ -19,6 +15,7 @@ from imgloc.lab.evaluation import share
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import Options, Sensor
 from imgloc.pipeline import localize, prepare
+from imgloc.runs.workers import Supervised
 from imgloc.search.priors import clearance as roomy
 from imgloc.simulation.scans import ray_angles, refine_grid, simulate_ranges
 
@@ -28,6 +25,7 @@ NEAR = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis nearer than this to the true pose is right, metres and radians."""
 TOP = 10
 MOST = 20_000  #: largest number of poses
+_TOGETHER = 4  # poses that a process is given at a time
 AT_ONCE = 1000  #: scans that are simulated at a time
 
 
@@ -221,7 +219,7 @@ def survey_part(
 
 def survey(
     grid: OccupancyGrid,
-    scans: Iterable[tuple[Pose2D, LaserScan]],
+    scans: Sequence[tuple[Pose2D, LaserScan]],
     options: Options,
     *,
     workers: int = 1,
@@ -231,36 +229,28 @@ def survey(
     Poses are the sensor's in the grid frame. `workers` is the number of processes. No result
     depends on it.
     """
+    parts = [scans[k : k + _TOGETHER] for k in range(0, len(scans), _TOGETHER)]
     if workers == 1:
-        features = prepare(grid)
-        yield from (_spot(features, pose, scan, options) for pose, scan in scans)
+        for part in parts:
+            yield from _spots(grid, part, options)
         return
-    # Processes are not forked, because this one may have threads.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start, (grid, options)) as pool:
-        yield from pool.map(_work, scans, chunksize=4)
+    with Supervised(workers, module=__name__) as pool:
+        try:
+            for done in [pool.submit(_spots, grid, part, options) for part in parts]:
+                yield from done.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
-_HERE: dict[str, tuple[MapFeatures, Options]] = {}
+_prepared = lru_cache(maxsize=1)(prepare)
 
 
-def _start(grid: OccupancyGrid, options: Options) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    cv2.setNumThreads(1)
-    _HERE["map"] = prepare(grid), options
-
-
-def _end_with_parent() -> None:
-    """End this worker with its parent. Otherwise it waits for tasks of a killed parent for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _work(task: tuple[Pose2D, LaserScan]) -> Spot:
-    features, options = _HERE["map"]
-    return _spot(features, *task, options)
+def _spots(
+    grid: OccupancyGrid, scans: Sequence[tuple[Pose2D, LaserScan]], options: Options
+) -> list[Spot]:
+    features = _prepared(grid)
+    return [_spot(features, pose, scan, options) for pose, scan in scans]
 
 
 def _spot(features: MapFeatures, pose: Pose2D, scan: LaserScan, options: Options) -> Spot:
