@@ -60,7 +60,7 @@ class Number:
     """One line of the file; of several values each may have its own unit."""
 
     value: Any  #: a number or a tuple of numbers, SI units
-    unit: str | tuple[str, ...]
+    unit: Any  #: a name, or a tuple of names
     source: str  #: which :class:`Origin`
     costs: str  #: what it costs to leave it out or to change it, or that this was not measured
 
@@ -133,8 +133,8 @@ def _made(kind: Any, name: str, entry: Any) -> Any:
 def _value(name: str, one: Number) -> Any:
     """A value in SI units, checked by its unit."""
     several = isinstance(one.value, list)
-    values = one.value if several else [one.value]
-    units = one.unit if isinstance(one.unit, list) else [one.unit] * len(values)
+    values, unit = one.value if several else [one.value], one.unit
+    units: list[Any] = unit if isinstance(unit, list) else [unit] * len(values)
     if not values or len(units) != len(values):
         raise ConfigError(f"{FILE.name}: {name}: got {len(values)} values, {len(units)} units")
     for value, unit in zip(values, units, strict=True):

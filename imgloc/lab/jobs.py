@@ -1,23 +1,19 @@
-"""What `imgloc evaluate` and `imgloc atlas` do with a map: open it, check it, measure."""
+"""The work of `imgloc evaluate` on a map: open it, check it, measure."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 from imgloc.answers.logcheck import located
 from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.errors import ScanError
-from imgloc.features.budget import poses_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import calibrated
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.atlas import AT_ONCE, MOST, TOP, Spot, atlas_poses, simulate_at, survey
 from imgloc.lab.evaluation import evaluate, method_options
-from imgloc.model import FloatArray, OccupancyGrid
+from imgloc.model import OccupancyGrid
 from imgloc.options import (
     ALL_METHODS,
     FUSED,
@@ -29,7 +25,6 @@ from imgloc.options import (
     Step,
     Tolerance,
 )
-from imgloc.pipeline import prepare
 from imgloc.ranges import Checked, OneOf
 from imgloc.runs.jobs import Item
 from imgloc.runs.localize import Localize
@@ -37,7 +32,6 @@ from imgloc.runs.opening import LOG, Desk, MapFiles, ScanFiles
 from imgloc.simulation.scans import fine_image, is_world, simulate
 
 Source = dict[str, Any]
-_EACH = 8  # poses that are worth a process
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,57 +117,3 @@ class Evaluate(Checked):
             )
         LOG.info("%s: %s: S %.2f", item.map, self.method, found.summary.index.value)
         yield found.as_row(item.map, source)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Atlas(Checked):
-    """Simulate a scan at each place and heading of a map, and see where one is enough."""
-
-    maps: MapFiles = field(default_factory=MapFiles)  #: how the images of maps are read
-    sensor: Sensor = field(default_factory=Sensor)
-    step: Length = 0.5  #: between the places, metres
-    headings: Count = 4  #: at each of them
-    seed: int = 0
-
-    def open(self, item: Item, desk: Desk, *, workers: int = 1) -> "Surveying":
-        """Read a map, and find its places; `workers` is the largest number of processes."""
-        path, name = item.path, display(item.path)
-        grid = desk.grid(path, self.maps, usable=True)
-        height, width = grid.occupied.shape
-        sides = (round(cells * grid.resolution / self.step + 1) for cells in (height, width))
-        desk.check(
-            poses_bytes(height * width, places := math.prod(sides), MOST),
-            f"{name}: {self.headings} headings at up to {places:,} places "
-            f"on {height} x {width} cells",
-            "use a larger `step` or fewer `headings`, crop the map",
-        )
-        poses = atlas_poses(grid, self.step, self.headings, self.sensor.clearance)
-        workers = min(workers, max(1, len(poses) // _EACH))
-        desk.check_simulation(
-            grid, name, len(poses), self.sensor.rays, world=is_world(path, grid), at_once=AT_ONCE,
-            hint="use a larger `step`, crop the map",
-        )  # fmt: skip
-        options = Options(top=TOP, threads=1, memory_budget=desk.memory_budget)
-        desk.check_answer(
-            prepare(grid, name, ready=False), options, name, hint="crop the map", workers=workers
-        )
-        return Surveying(self, path, grid, poses, options, workers)
-
-
-@dataclass(frozen=True, eq=False)
-class Surveying:
-    """A map and the poses that are located on it."""
-
-    job: Atlas
-    path: Path
-    grid: OccupancyGrid
-    poses: FloatArray  #: (N, 3), grid frame
-    options: Options
-    workers: int
-
-    def spots(self, begin: int = 0) -> Iterator[Spot]:
-        """Yield the spot of each pose, from the index `begin` on."""
-        fine = fine_image(self.path, self.grid)
-        scans = simulate_at(self.grid, self.poses, self.job.sensor, self.job.seed, fine)[begin:]
-        workers = min(self.workers, max(1, len(scans) // _EACH))
-        return survey(self.grid, scans, self.options, workers=workers)

@@ -285,7 +285,7 @@ def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch)
                 raise KeyboardInterrupt
             yield spot
 
-    monkeypatch.setattr("imgloc.lab.jobs.survey", interrupted)
+    monkeypatch.setattr("imgloc.lab.atlas.survey", interrupted)
     run = call(*ATLAS, "--out", png, "--workers", 1)
     assert run.code != 0
     journal = (tmp_path / "a.png.part").read_text().splitlines()

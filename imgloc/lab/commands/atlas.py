@@ -1,14 +1,21 @@
 """`imgloc atlas`: where on a map a single scan says where one is."""
 
+import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
-from imgloc.errors import ConfigError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Headings, MemoryBudget, Seed, Sensor, Spacing
+from imgloc.options import Headings, MemoryBudget, Options, Seed, Sensor, Spacing
 from imgloc.ranges import option
+
+if TYPE_CHECKING:
+    from imgloc.model import FloatArray, OccupancyGrid
+    from imgloc.runs.opening import Desk
+
+_EACH = 8  # poses that are worth a process
 
 
 def atlas(
@@ -36,44 +43,71 @@ def atlas(
     """
     from imgloc.cli import inputs
     from imgloc.io.cache import cache_key
-    from imgloc.lab.atlas import MOST, Spot, summarise
+    from imgloc.lab.atlas import Spot, simulate_at, summarise, survey
     from imgloc.lab.atlas_rows import Journal, as_csv
-    from imgloc.lab.jobs import Atlas
     from imgloc.lab.picture import draw_atlas
     from imgloc.lab.tables import atlas_text
     from imgloc.model import plain, to_json
+    from imgloc.simulation.scans import fine_image
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     inputs.check_target(csv, ".csv", force=force)
-    job = Atlas(
-        maps=inputs.map_files(reading),
-        sensor=sensor, step=step, headings=headings, seed=seed,
-    )  # fmt: skip
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
-    found = job.open(inputs.item_of(map_path), desk, workers=opt.count_threads(workers))
-    if len(found.poses) > MOST:
-        raise ConfigError(
-            f"{display(map_path)}: {len(found.poses):,} poses, expected at most {MOST:,}; "
-            "use a larger --step or fewer --headings"
-        )
-    about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(job.sensor))}
-    key = {"map": cache_key(found.grid, about)} | about
+    grid = desk.grid(map_path, inputs.map_files(reading), usable=True)
+    count = opt.count_threads(workers)
+    poses, options = _poses(map_path, grid, desk, sensor, step, headings, count)
+    about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(sensor))}
+    key = {"map": cache_key(grid, about)} | about
     journal = Journal(out.with_name(out.name + ".part"), key)
     if done := len(journal.rows):
-        say(f"going on after {done} of {len(found.poses)} poses")
+        say(f"going on after {done} of {len(poses)} poses")
     try:
-        with progress("atlas", len(found.poses) - done, lines=False) as advance:
-            for spot in found.spots(done):
+        scans = simulate_at(grid, poses, sensor, seed, fine_image(map_path, grid))[done:]
+        with progress("atlas", len(scans), lines=False) as advance:
+            for spot in survey(grid, scans, options, workers=_useful(count, len(scans))):
                 journal.add(spot.row)
                 advance()
     finally:
         journal.close()
     spots = [Spot.of(row) for row in journal.rows]
     title = f"{map_name(map_path)}: is one scan enough? {len(spots):,} scans, {step:g} m apart"
-    picture = draw_atlas(found.grid, spots, step=step, headings=headings, title=title)
+    picture = draw_atlas(grid, spots, step=step, headings=headings, title=title)
     if csv is not None:
         write_text_atomic(csv, as_csv(journal.rows), force=force)
     picture.save(out, force=force)
     journal.remove()
     summary = summarise(spots, step) | about
     emit(to_json(summary) if as_json else atlas_text(summary))
+
+
+def _useful(workers: int, poses: int) -> int:
+    """The number of processes that is worth starting."""
+    return min(workers, max(1, poses // _EACH))
+
+
+def _poses(
+    path: Path, grid: "OccupancyGrid", desk: "Desk", sensor: Sensor, step: float, headings: int,
+    workers: int,
+) -> "tuple[FloatArray, Options]":  # fmt: skip
+    """The poses (N, 3) of an atlas, grid frame, and the options; an error if memory is short."""
+    from imgloc.features.budget import poses_bytes
+    from imgloc.lab.atlas import AT_ONCE, MOST, TOP, atlas_poses
+    from imgloc.pipeline import prepare
+    from imgloc.simulation.scans import is_world
+
+    name, (height, width) = display(path), grid.occupied.shape
+    sides = (round(cells * grid.resolution / step + 1) for cells in (height, width))
+    desk.check(
+        poses_bytes(height * width, places := math.prod(sides), MOST),
+        f"{name}: {headings} headings at up to {places:,} places on {height} x {width} cells",
+        "use a larger `step` or fewer `headings`, crop the map",
+    )
+    poses = atlas_poses(grid, step, headings, sensor.clearance)
+    desk.check_simulation(
+        grid, name, len(poses), sensor.rays, world=is_world(path, grid), at_once=AT_ONCE,
+        hint="use a larger `step`, crop the map",
+    )  # fmt: skip
+    options = Options(top=TOP, threads=1, memory_budget=desk.memory_budget)
+    there, workers = prepare(grid, name, ready=False), _useful(workers, len(poses))
+    desk.check_answer(there, options, name, hint="crop the map", workers=workers)
+    return poses, options
