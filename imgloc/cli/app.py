@@ -94,7 +94,7 @@ _COMMANDS: Mapping[str, tuple[str, ...]] = {
         "imgloc evaluate office.yaml -n 50 --method fused --range-max 10 --tolerance 0.3,10",
         "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
         "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --method fused,ght-v",
-        "imgloc evaluate curved --method ght,ght-v --theta-step-deg ght=10 --cell 0.2",
+        "imgloc evaluate curved --method ght,ght-v --theta-step-deg 10 --cell 0.2",
     ),
     "calibrate": (
         "Fit the methods to a map, or with --scans the map's scale and walls to recorded scans.",

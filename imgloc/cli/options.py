@@ -4,12 +4,12 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from imgloc.cli.command import Given, Without, value_of
+from imgloc.cli.command import Given, Without
 from imgloc.errors import ConfigError
-from imgloc.options import Count, MemoryBudget, Reading, Tolerance
-from imgloc.ranges import Option, declaration, option
+from imgloc.options import Count, HeadingStep, MemoryBudget, Reading, Tolerance
+from imgloc.ranges import Option, option
 from imgloc.texts import metres_degrees
 
 
@@ -90,12 +90,11 @@ ToleranceOf = Annotated[
     ),
 ]
 
-Steps = Annotated[
-    list[str] | None,
+StepOf = Annotated[
+    HeadingStep,
     Option(
-        "Step between the headings that are tried, degrees; for one method METHOD=DEG. May be "
-        "repeated. [default: the paper's, 1 for fused]",
-        metavar="[METHOD=]DEG",
+        "Step between the headings that are tried, degrees. [default: the paper's, 1 for fused]",
+        "--theta-step-deg",
     ),
 ]
 
@@ -151,26 +150,6 @@ class MapImages(Reading, total=False):
 MapFrame = Annotated[
     MapImages, Without("mode", "semantics", "occupied_thresh", "free_thresh", "negate")
 ]
-
-
-def for_each(
-    name: str, texts: Sequence[str] | None, methods: Sequence[str], hint: Any
-) -> dict[str, float]:
-    """Values by method of an option given as VALUE, for all methods, or METHOD=VALUE.
-
-    Examples
-    --------
-    >>> for_each("cell", ["ght=2", "1"], ["ght", "beam"], Count)
-    {'ght': 2, 'beam': 1}
-    """
-    out: dict[str, float] = {}
-    declared = declaration(name, hint)
-    for text in sorted(texts or (), key=lambda t: "=" in t):  # those for one method win
-        method, _, number = text.rpartition("=")
-        if method and method not in methods:
-            raise ConfigError(f"{declared.flag}: got {text!r}, {method!r} is not one of --method")
-        out |= dict.fromkeys([method] if method else methods, value_of(declared, number))
-    return out
 
 
 def refuse_others(given: Given, ways: Mapping[str, Sequence[str]], way: set[str]) -> None:

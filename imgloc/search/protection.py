@@ -26,7 +26,8 @@ SHARES: tuple[float, ...] = (0.95, 0.99, 0.999)
 """Probabilities for which an answer has a level."""
 _STEPS = np.geomspace(1e-3, 1e3, 400)  # metres, radians: a level is the next of these, 3.5 % apart
 _MINUTE = 1e-6  # mass of a mode that counts as elsewhere: a thousandth of what a level allows
-_FAR = 9.0  # standard deviations, beyond which a Gaussian has nothing left
+# Standard deviations, beyond which what a Gaussian has left is nothing beside 1.
+_FAR = math.sqrt(-2 * math.log(np.finfo(np.float64).eps))
 _erfc = np.frompyfunc(math.erfc, 1, 1)
 
 

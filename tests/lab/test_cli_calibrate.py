@@ -98,7 +98,6 @@ def test_maps_that_share_a_fit(office: Path) -> None:
     ("words", "code", "expected"),
     [
         (["--method", "fused"], 2, "--method: got 'fused', expected cbml,"),
-        (["--theta-step-deg", "beam=3", "--method", "ght"], 2, "not one of --method"),
         (["--cell", "0"], 2, "--cell: got 0"),
         (["--range-max", "0"], 2, "--range-max: got 0"),
         (["--clearance", "50"], 3, "clearance"),

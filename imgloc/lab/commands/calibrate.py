@@ -15,7 +15,6 @@ from imgloc.options import (
     METHODS,
     Cell,
     Chosen,
-    HeadingStep,
     Logs,
     Mounting,
     Options,
@@ -81,7 +80,7 @@ def calibrate(
         30, "Scans that are simulated on each map.", "-n", "--count"
     ),
     seed: Seed = 1000,
-    theta_step_deg: opt.Steps = None,
+    theta_step: opt.StepOf | None = None,
     cell: Cell = 0.1,
     dry_run: bool = option(False, "Print the fit, and store nothing."),
     as_json: opt.AsJson = False,
@@ -112,7 +111,6 @@ def calibrate(
     from imgloc.simulation.scans import fine_image, is_world
 
     opt.refuse_others(given, _OF, {_SIMULATED if scans is None else _RECORDED})
-    steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
     paths = [opt.find_map(given) for given in maps]
     targets = _targets(maps, paths, dry_run=dry_run, force=force)
     read = inputs.map_files(reading)
@@ -128,7 +126,7 @@ def calibrate(
     plans = {
         name: Options(
             name,
-            theta_step=steps.get(name),
+            theta_step=theta_step,
             threads=taken.threads,
             memory_budget=taken.memory_budget,
         )
@@ -153,14 +151,11 @@ def calibrate(
         fits[name] = fit(sweeps)
         LOG.info("%s: %s", name, asdict(fits[name].calibration))
     about = {"maps": [display(path) for path in paths], "seed": seed, "trials": count}
-    about |= {"sensor": asdict(sensor), "cell": cell}
-    degrees = {m: round(math.degrees(step), 9) for m, step in steps.items()}
-    _show(fits, about, degrees, as_json=as_json)
+    degrees = None if theta_step is None else round(math.degrees(theta_step), 9)
+    about |= {"sensor": asdict(sensor), "cell": cell, "theta_step_deg": degrees}
+    _show(fits, about, as_json=as_json)
     for target, grid in [] if dry_run else zip(targets, grids, strict=True):
-        each = {
-            one: about | {"theta_step_deg": degrees.get(one), "index": _index(found)}
-            for one, found in fits.items()
-        }
+        each = {one: about | {"index": _index(found)} for one, found in fits.items()}
         calibrations = {one: found.calibration for one, found in fits.items()}
         save_calibrations(target, grid, calibrations, plain(each), force=force)
         say(f"wrote {display(target)}")
@@ -200,10 +195,7 @@ def _index(found: "CalibrationFit") -> dict[str, Any]:
     return {"calibrated": asdict(found.index), "bare": asdict(found.bare)}
 
 
-def _show(
-    fits: "Mapping[str, CalibrationFit]", about: Mapping[str, Any], steps: Mapping[str, float],
-    *, as_json: bool,
-) -> None:  # fmt: skip
+def _show(fits: "Mapping[str, CalibrationFit]", about: Mapping[str, Any], *, as_json: bool) -> None:
     """Print what was fitted."""
     from imgloc.lab.tables import calibration_table
     from imgloc.model import to_json
@@ -213,8 +205,7 @@ def _show(
         return
     fitted = {method: asdict(found.calibration) for method, found in fits.items()}
     index = {method: _index(found) for method, found in fits.items()}
-    more = {"theta_step_deg": steps, "index": index}
-    emit(to_json({"methods": fitted, "about": {**about, **more}}))
+    emit(to_json({"methods": fitted, "about": {**about, "index": index}}))
 
 
 def _with_scans(

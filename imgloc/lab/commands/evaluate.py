@@ -18,7 +18,6 @@ from imgloc.options import (
     Chosen,
     Count,
     Factor,
-    HeadingStep,
     Logs,
     Mounting,
     Reach,
@@ -71,13 +70,8 @@ def evaluate(
         metavar="M,DEG",
         parse=lambda text: Tolerance(*metres_degrees(text)),
     ),
-    theta_step_deg: opt.Steps = None,
-    cell: list[str] | None = option(
-        None,
-        "Side of a cell of the poses that the paper's algorithms score, metres; for one method "
-        "METHOD=M. May be repeated. [default: 0.1]",
-        metavar="[METHOD=]M",
-    ),
+    theta_step: opt.StepOf | None = None,
+    cell: Cell = 0.1,
     as_json: opt.AsJson = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
@@ -99,8 +93,6 @@ def evaluate(
     from imgloc.model import to_json
 
     read = inputs.map_files(reading)
-    steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
-    cells = opt.for_each("cell", cell, method, Cell)
     _check_sources(maps, scans, count, chosen, sensor, mounting, range_scale)
     laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
     if scans is None:
@@ -109,8 +101,8 @@ def evaluate(
     jobs = [
         Evaluate(
             method=name,
-            theta_step=steps.get(name),
-            cell=cells.get(name, 0.1),
+            theta_step=theta_step,
+            cell=cell,
             tolerances=(*TOLERANCES, *(tolerance or ())),
             maps=read,
             scans=inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped)),
