@@ -150,18 +150,17 @@ def test_the_numbers_are_those_of_the_answer(method) -> None:
 
 def test_the_best_likelihood_of_a_picture_is_near_the_pose() -> None:
     why = explain(features_of("curved"), scan_of("curved"), answer_of("curved", "fused"), Options())
-    assert [layer.name for layer in why.layers] == ["cbml"]
-    for layer in why.layers:
-        stack = layer.likelihood
-        assert stack is not None
-        row, column = np.unravel_index(np.argmax(stack.values[0]), stack.grid.shape)
-        at = Pose2D((column + 0.5) * stack.grid.resolution, (row + 0.5) * stack.grid.resolution)
-        assert error(at, POSES["curved"])[0] < 0.5
+    assert why.layer.name == "cbml"
+    stack = why.layer.likelihood
+    assert stack is not None
+    row, column = np.unravel_index(np.argmax(stack.values[0]), stack.grid.shape)
+    at = Pose2D((column + 0.5) * stack.grid.resolution, (row + 0.5) * stack.grid.resolution)
+    assert error(at, POSES["curved"])[0] < 0.5
 
 
 def test_pictures_cover_the_map_however_coarse_their_cells(room) -> None:
     scan = seen_from(room, (3.0, 2.4, 0.4))
-    (layer,) = explain(room, scan, localize(room, scan), Options()).layers
+    layer = explain(room, scan, localize(room, scan), Options()).layer
     info = layer.likelihood.grid
     for n, cells in zip(info.shape, room.grid.occupied.shape, strict=True):
         assert 0 <= n * info.resolution - 0.1 * cells < 4 * info.resolution
@@ -171,8 +170,8 @@ def test_a_picture_that_is_too_large_is_left_out_with_the_reason() -> None:
     features, scan = features_of("curved"), scan_of("curved")
     answer = answer_of("curved", "fused")
     why = explain(features, scan, answer, Options(memory_budget=1 << 20))
-    assert why.layers[0].likelihood is None
-    assert "the budget is 1 MiB" in why.layers[0].about
+    assert why.layer.likelihood is None
+    assert "the budget is 1 MiB" in why.layer.about
 
 
 def test_outside_the_prior_the_picture_is_empty(room) -> None:
@@ -180,19 +179,18 @@ def test_outside_the_prior_the_picture_is_empty(room) -> None:
     cells = near(room.grid.info, 3.0, 2.4, 0.6)
     options = Options(prior=Prior(cells, None, {"near": "here"}))
     why = explain(room, scan, localize(room, scan, options), options)
-    for layer in why.layers:
-        assert layer.likelihood is not None
-        cell = layer.likelihood.grid.resolution
-        rows, columns = np.nonzero(layer.likelihood.values[0])
-        assert rows.size > 0
-        apart = np.hypot((columns + 0.5) * cell - 3.0, (rows + 0.5) * cell - 2.4)
-        assert apart.max() < 0.6 + 2.2 * cell
+    assert why.layer.likelihood is not None
+    cell = why.layer.likelihood.grid.resolution
+    rows, columns = np.nonzero(why.layer.likelihood.values[0])
+    assert rows.size > 0
+    apart = np.hypot((columns + 0.5) * cell - 3.0, (rows + 0.5) * cell - 2.4)
+    assert apart.max() < 0.6 + 2.2 * cell
 
 
 def test_headings_outside_the_prior_are_not_drawn(room) -> None:
     scan = seen_from(room, (3.0, 2.4, 0.4))
     options = Options(prior=Prior(None, (0.4, np.deg2rad(10.0)), {"heading": 0.4}))
-    (cbml,) = explain(room, scan, localize(room, scan, options), options).layers
+    cbml = explain(room, scan, localize(room, scan, options), options).layer
     assert cbml.about.startswith("11 headings")  # every second degree
 
 

@@ -254,7 +254,7 @@ def test_bounds_see_the_heading_that_is_known(site: Path) -> None:
 def test_the_command_makes_and_uses_an_index(site: Path) -> None:
     file = site / "index.npz"
     given = ("which", site / "floors")
-    call(*given, "--maps-index", file, "--build").ends(0, "3 maps", out="")
+    call(*given, "--maps-index", file).ends(0, "3 maps", out="")
     given = (*given, site / "s.npz", "--sure", 0.8, "--json")  # two of the three are mirror images
     with_index = call(*given, "--maps-index", file)
     assert with_index == call(*given)
@@ -267,8 +267,6 @@ def test_the_command_makes_and_uses_an_index(site: Path) -> None:
     [
         (["{}/s.npz", "--near", "1,2,0"], "No such option: --near"),
         (["{}/s.npz", "--region", "a.png"], "No such option: --region"),
-        (["--build"], "--build: expected --maps-index"),
-        (["{}/s.npz", "--build", "--maps-index", "{}/i.npz"], "--build: expected --maps-index"),
         ([], "expected scans"),
         (["{}/s.npz", "--maps-index", "{}/index.txt"], "ends in .npz"),
         (["{}/s.npz", "--clearance", "90"], "--clearance: no map has a place"),

@@ -190,12 +190,12 @@ def test_a_floor_that_is_null_is_none(folder: Path) -> None:
 
 def test_a_folder_that_is_no_batch_is_a_slip(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
-    for use in (["report"], ["export"], ["map", "changes", "curved"]):
+    for use in (["report"], ["export"]):
         given = call(*use, tmp_path / "logs")
         given.ends(2, "logs: no run.json, expected a folder of results of 'imgloc batch'")
 
 
-@pytest.mark.parametrize("use", [["report"], ["export"], ["export", "--format", "parquet"]])
+@pytest.mark.parametrize("use", [["report"], ["export"]])
 def test_a_folder_that_is_not_there_is_a_slip(use: list[str], tmp_path: Path) -> None:
     given = call(*use, tmp_path / "logs")
     given.ends(2, "logs: no such folder, expected a folder of results of 'imgloc batch'")
@@ -347,7 +347,7 @@ def test_a_damaged_calibration_beside_a_map_is_a_warning(folder: Path, value: st
 
 def build(folder: Path) -> Path:
     index = folder / "index.npz"
-    call("which", folder / "maps", "--maps-index", index, "--build", "--no-cache").ends(0)
+    call("which", folder / "maps", "--maps-index", index, "--no-cache").ends(0)
     return index
 
 

@@ -346,7 +346,7 @@ def test_a_stack_is_its_own_picture(method: str) -> None:
     features, scan = features_of("curved"), scan_of("curved")
     options = Options(method=method)
     why = explain(features, scan, answer_of("curved", method), options)
-    (layer,) = why.layers
+    layer = why.layer
     assert layer.likelihood is not None
     assert layer.likelihood.values.min() >= 0
     page = Page(render_explanation(why, "x"))

@@ -159,7 +159,7 @@ def test_a_table_has_a_row_for_each_scan(folder: Path) -> None:
 
 def test_parquet_has_the_values_of_the_csv(folder: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="imgloc[parquet] is not installed")
-    assert call("export", folder, "--format", "parquet").code == 0
+    assert call("export", folder, "--out", folder / "results.parquet").code == 0
     table = parquet.read_table(folder / "results.parquet")
     assert table.num_rows == 250
     assert table.column("x").to_pylist()[3] == 4.0

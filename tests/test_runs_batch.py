@@ -112,17 +112,6 @@ def test_other_contents_and_parameters_are_done_again(site: Path, tmp_path: Path
     assert [row["status"] for row in read_rows(out)] == ["ok", "ok"]
 
 
-def test_failing_fast_stops(site: Path, tmp_path: Path) -> None:
-    scans = tmp_path / "scans"
-    scans.mkdir()
-    (scans / "a.npz").write_bytes(b"")
-    (scans / "b.npz").write_bytes((site / "scans" / "s0.npz").read_bytes())
-    with ThreadPoolExecutor(1) as pool:
-        out = tmp_path / "out"
-        found = run_batch(site / "floors", scans, out, QUICK, executor=pool, fail_fast=True)
-    assert (found.items, found.statuses) == (1, {"failed": 1})
-
-
 def test_a_map_beyond_the_memory_is_a_row(site: Path, tmp_path: Path) -> None:
     out, means = tmp_path / "out", Means(memory_budget=40 << 20)
     with ThreadPoolExecutor(1) as pool:

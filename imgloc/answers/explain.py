@@ -15,7 +15,7 @@ already, tell why it is right, or wrong. The numbers behind the verdict are the 
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,7 +113,7 @@ class Explanation(ByContent):
     answer: Localization
     options: Options
     fits: tuple[HypothesisFit, ...]  #: the hypotheses, best first
-    layers: tuple[Layer, ...]
+    layer: Layer | None  #: what proposed; None for a scan with too few readings
 
     def __repr__(self) -> str:
         rays = len(self.scan.ranges)
@@ -172,8 +172,8 @@ def explain(
         )
         for given, h, total in zip(answer.hypotheses, local, score, strict=True)
     )
-    layers = tuple(layers_of(features, scan, options)) if answer.verdict != "invalid" else ()
-    return Explanation(grid, scan, answer, options, fits, layers)
+    layer = None if answer.verdict == "invalid" else layer_of(features, scan, options)
+    return Explanation(grid, scan, answer, options, fits, layer)
 
 
 def explain_rays(
@@ -291,22 +291,20 @@ def faced(
     return out
 
 
-def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Iterator[Layer]:
-    """Yield the likelihood of what proposes, or the stack itself of another method.
+def layer_of(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:
+    """The likelihood of what proposes, or the stack itself of another method.
 
     The scan has at least one valid reading. What a picture may take of memory the options say.
     """
     method = options.method
-    if method != FUSED:
-        try:
-            stack = likelihood(features, scan, options)
-        except ConfigError as error:  # branch and bound does without the stack
-            yield Layer(method, f"Left out: {error}.", None)
-            return
-        about = f"{len(stack.thetas)} headings, cells of {stack.grid.resolution:.2g} m"
-        yield _layer(method, about, stack.values.max(axis=0), stack.grid.resolution, features)
-        return
-    yield _endpoints(features, scan, options)
+    if method == FUSED:
+        return _endpoints(features, scan, options)
+    try:
+        stack = likelihood(features, scan, options)
+    except ConfigError as error:
+        return Layer(method, f"Left out: {error}.", None)
+    about = f"{len(stack.thetas)} headings, cells of {stack.grid.resolution:.2g} m"
+    return _layer(method, about, stack.values.max(axis=0), stack.grid.resolution, features)
 
 
 def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:

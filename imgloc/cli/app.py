@@ -130,7 +130,7 @@ _COMMANDS: Mapping[str, tuple[str, ...]] = {
     "export": (
         "Write the results of a batch as one table, a row for each scan.",
         "imgloc export found",
-        "imgloc export found --format parquet --out answers.parquet",
+        "imgloc export found --out answers.parquet",
     ),
     "track": (
         "Follow a robot through a log of scans with odometry, from anywhere on the map.",
@@ -150,7 +150,7 @@ _COMMANDS: Mapping[str, tuple[str, ...]] = {
         "Say which of the maps in a folder each scan is from: one of them, none, or undecided.",
         "imgloc which floors scans.npz",
         "imgloc which floors scan.csv --range-max 20 --heading 90deg --json",
-        "imgloc which sites --maps-index sites.npz --build",
+        "imgloc which sites --maps-index sites.npz",
         "imgloc which sites scans.npz --maps-index sites.npz --picture where.png",
     ),
     "serve": (

@@ -106,7 +106,6 @@ def batch(
     ),
     resume: bool = option(False, "Go on with the results in DIR: what is done stays."),
     retry_failed: bool = option(False, "Go on with the results in DIR, and do failed items again."),
-    fail_fast: bool = option(False, "Stop at the first item that fails."),
     dry_run: bool = option(False, "Only print what would be done."),
     as_json: opt.AsJson = False,
     kept: Annotated[opt.Kept, Only("no_cache")],
@@ -158,7 +157,7 @@ def batch(
         try:
             summary = run_batch(
                 maps, scans, out, what, means=means, executor=there or pool, resume=again,
-                retry_failed=retry_failed, fail_fast=fail_fast, items=todo,
+                retry_failed=retry_failed, items=todo,
                 on_row=lambda row: advance(row["status"] != "ok"),
             )  # fmt: skip
         except KeyboardInterrupt:

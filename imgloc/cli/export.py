@@ -1,13 +1,12 @@
 """`imgloc export`: the results of a batch as one table, for other programs."""
 
 from pathlib import Path
-from typing import Annotated
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
 from imgloc.cli.report import Results
 from imgloc.io.files import display, write_bytes_atomic
-from imgloc.ranges import OneOf, option
+from imgloc.ranges import option
 
 
 def export(
@@ -15,11 +14,8 @@ def export(
     folder: Results,
     out: Path | None = option(
         None,
-        "Table that is written. [default: results.csv or results.parquet in DIR]",
+        "Table that is written, .csv or .parquet. [default: results.csv in DIR]",
         metavar="FILE",
-    ),
-    form: Annotated[str, OneOf("csv", "parquet")] = option(
-        "csv", "File format of the table.", "--format"
     ),
     force: opt.Force = False,
 ) -> None:
@@ -34,8 +30,8 @@ def export(
     from imgloc.runs.results import read_run
 
     read_run(folder)  # first: a folder that is no batch is told as such, not as a place to write to
-    target = folder / f"results.{form}" if out is None else out
-    inputs.check_target(target, f".{form}", force=force)
-    data = as_bytes(folder, form)
+    target = folder / "results.csv" if out is None else out
+    inputs.check_target(target, (".csv", ".parquet"), force=force)
+    data = as_bytes(folder, target.suffix.lower())
     write_bytes_atomic(target, data, force=force)
     say(f"wrote {display(target)}: {len(data) / 1000:,.0f} kB")

@@ -3,7 +3,7 @@
 import contextlib
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -116,15 +116,16 @@ def _map(path: Path, how: "MapFiles", desk: "Desk", typed: Typed, *, as_json: bo
         emit(f"{report_text(answer.of)}\n  next        {command}")
 
 
+@dataclass(frozen=True)
 class _Look:
     """Looks at logs, one after the other."""
 
-    def __init__(
-        self, desk: "Desk", how: "MapFiles", the_map: Path | None, logs: Logs, mounting: Mounting,
-        typed: Typed,
-    ) -> None:  # fmt: skip
-        self.desk, self.how, self.map, self.logs = desk, how, the_map, logs
-        self.mounting, self.typed = mounting, typed
+    desk: "Desk"
+    how: "MapFiles"
+    map: Path | None
+    logs: Logs
+    mounting: Mounting
+    typed: Typed
 
     def at(self, path: Path, *, as_json: bool, picture: Path | None, force: bool) -> None:
         """Look at a log, print what is in it, draw it."""

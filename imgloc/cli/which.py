@@ -30,7 +30,7 @@ def which(
     scans_path: Path | None = option(
         None,
         "Scans: .npz, .csv, .jsonl, .json; a CARMEN .log; a ROS .bag, .mcap, .db3 or the folder "
-        "of a recording; - is standard input. With --build there are none.",
+        "of a recording; - is standard input. Without any the file of --maps-index is made.",
         "SCANS",
         parse=opt.find_scans,
     ),
@@ -40,7 +40,6 @@ def which(
         "not there, and made anew for maps that have changed.",
         metavar="NPZ",
     ),
-    build: bool = option(False, "Make the file of --maps-index, and locate no scan."),
     picture: Path | None = option(
         None,
         "Draw the scan in the best map into this file; of several scans into NAME-0003.png and "
@@ -69,7 +68,8 @@ def which(
     from imgloc.runs.jobs import Item
     from imgloc.runs.which import Named, Which
 
-    _check(scans_path, maps_index, build=build)
+    if scans_path is None and maps_index is None:
+        raise ConfigError("expected scans, or --maps-index, a file to make of the maps")
     if maps_index is not None:
         inputs.check_target(maps_index, ".npz", force=True)  # nothing is replaced but an index
     maps = inputs.maps_in(maps_dir, reading)
@@ -87,7 +87,7 @@ def which(
     targets = inputs.targets(picture, ".png", numbers, force=force, inputs=read)
     item = Item(display(maps_dir), None, tuple(maps.items()), scans_path)
     found = job.look(item, desk, asked, file=maps_index)
-    if build:
+    if asked is None:
         say(f"{display(maps_index or maps_dir)}: {len(found.index.names):,} maps")
     answers = list[Named]()
     for k, answer in enumerate(found):
@@ -105,11 +105,3 @@ def which(
         LOG.warning("%s", hint.said)
     if found.failed:
         raise typer.Exit(FAILED_ROWS)
-
-
-def _check(scans: Path | None, index: Path | None, *, build: bool) -> None:
-    """Refuse options that do not go together."""
-    if build and (scans is not None or index is None):
-        raise ConfigError("--build: expected --maps-index, which it makes, and no scans")
-    if scans is None and not build:
-        raise ConfigError("expected scans, or --build with --maps-index")

@@ -706,7 +706,7 @@ def align_maps(
         Place(_in_map_frames(a, b, bend), fit, bend)
         for bend, fit in _places(one, other, scale, start)
     )
-    made = Alignment("unique", places, (a.origin, b.origin), _corners(b))
+    made = Alignment("unique", places, (a.origin, b.origin), corners_of(b))
     if scans is not None and scans.pose is not None:
         made = _as_scans_say(made, scans)
         return made if made.places[0].allowed else replace(made, verdict="no-match")
@@ -769,7 +769,7 @@ def _in_map_frames(a: OccupancyGrid, b: OccupancyGrid, bend: Bend) -> Pose2D:
     return Pose2D(corner.x - off[0], corner.y - off[1], turn)
 
 
-def _corners(grid: OccupancyGrid) -> FloatArray:
+def corners_of(grid: OccupancyGrid) -> FloatArray:
     """Corners (4, 2) of the rectangle that holds all known cells, map frame, metres."""
     known = grid.occupied | grid.free
     (left, right), (low, high) = (np.flatnonzero(known.any(axis=k))[[0, -1]] for k in (0, 1))

@@ -15,7 +15,7 @@ from imgloc.features.distance import distance_image
 from imgloc.geometry import cell_of, inside, rotation, transform_points
 from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings, yaml_text
-from imgloc.lab.align import SCALES, Alignment
+from imgloc.lab.align import SCALES, Alignment, corners_of
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, building, sheet
 from imgloc.output.plots import AREA, framed
@@ -180,8 +180,8 @@ def draw_alignment(
     """
     place = found.places[0]
     corners = [
-        transform_points(compose(place.pose, Pose2D(0, 0)), place.scale * _corners(b)),
-        _corners(a),
+        transform_points(compose(place.pose, Pose2D(0, 0)), place.scale * corners_of(b)),
+        corners_of(a),
     ]
     local = transform_points(inverse(a.origin), np.concatenate(corners))
     low, high = local.min(axis=0), local.max(axis=0)
@@ -218,10 +218,3 @@ def draw_alignment(
     at = f"x {x:.2f} m, y {y:.2f} m, turned by {math.degrees(theta):.1f} degrees"
     title = f"{names[1]} in the frame of {names[0]}: {found.verdict}, {at}"
     return framed(canvas, shown.origin, title, entries)
-
-
-def _corners(grid: OccupancyGrid) -> FloatArray:
-    """Corners (4, 2) of a map in its frame, metres."""
-    height, width = grid.occupied.shape
-    sides = np.array([(0, 0), (width, 0), (0, height), (width, height)]) * grid.resolution
-    return transform_points(grid.origin, sides.astype(np.float64))

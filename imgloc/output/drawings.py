@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from imgloc.answers.explain import explain, layers_of
+from imgloc.answers.explain import explain, layer_of
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
 from imgloc.io.maps import load_map
@@ -32,8 +32,7 @@ def draw_answer(
         "poses": encode_picture(draw(features.grid, answer, scan, truth=truth, title=title).image)
     }
     if answer.verdict != "invalid":
-        # Of the default method two propose where to look; the first is the endpoints.
-        layer = next(layers_of(features, scan, options))
+        layer = layer_of(features, scan, options)
         if layer.likelihood is not None:
             picture = draw(features.grid, layer.likelihood, title=title).image
             out["likelihood"] = encode_picture(picture)

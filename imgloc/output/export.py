@@ -15,7 +15,6 @@ from imgloc.errors import ConfigError, OutputError
 from imgloc.io.files import PathLike, display
 from imgloc.runs.results import Row, read_rows, read_run
 
-FORMATS = ("csv", "parquet")
 _COVARIANCE = {"xx": (0, 0), "xy": (0, 1), "xt": (0, 2), "yy": (1, 1), "yt": (1, 2), "tt": (2, 2)}
 _ITEM = ("map", "scans", "status", "code", "message", "version", "key")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
@@ -24,19 +23,17 @@ _MOST = 1000  # columns; answers have about a hundred
 Columns = dict[str, list[Any]]
 
 
-def as_bytes(folder: PathLike, kind: str) -> bytes:
-    """Return the file of a folder of results in one of :data:`FORMATS`.
+def as_bytes(folder: PathLike, ending: str) -> bytes:
+    """Return the table of a folder of results, as CSV, or as Parquet if the `ending` is that.
 
     Raises
     ------
     OutputError
         If it is not the folder of a batch, or cannot be read.
     ConfigError
-        If the format is another one, or Parquet is asked for without pyarrow.
+        If Parquet is asked for without pyarrow.
     """
-    if kind not in FORMATS:
-        raise ConfigError(f"`format`: got {kind!r}, expected one of {', '.join(FORMATS)}")
-    return _csv(columns_of(folder)) if kind == "csv" else _parquet(columns_of(folder))
+    return (_parquet if ending == ".parquet" else _csv)(columns_of(folder))
 
 
 def columns_of(folder: PathLike) -> Columns:
@@ -140,12 +137,12 @@ def _parquet(columns: Columns) -> bytes:
         import pyarrow.parquet
     except ImportError:
         raise ConfigError(
-            "`format=parquet`: needs pyarrow; install it with: pip install 'imgloc[parquet]'"
+            "Parquet: needs pyarrow; install it with: pip install 'imgloc[parquet]'"
         ) from None
     buffer = pyarrow.BufferOutputStream()
     try:
         table = pyarrow.table(columns)
     except (pyarrow.ArrowException, UnicodeEncodeError) as e:
-        raise OutputError(f"`format=parquet`: a column has values of two kinds: {e}") from None
+        raise OutputError(f"Parquet: a column has values of two kinds: {e}") from None
     pyarrow.parquet.write_table(table, buffer, compression="zstd")
     return bytes(buffer.getvalue())

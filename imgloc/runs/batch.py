@@ -134,7 +134,6 @@ def run_batch(
     means: Means | None = None,
     resume: bool = False,
     retry_failed: bool = False,
-    fail_fast: bool = False,
     items: Sequence[Item] | None = None,
     on_row: Callable[[Row], None] | None = None,
 ) -> BatchSummary:
@@ -159,8 +158,6 @@ def run_batch(
     resume : bool
         Go on with results that are there: what has a row with the same contents, parameters and
         version is not done again; what has `failed`, with `retry_failed`, is.
-    fail_fast : bool
-        Stop after the first row that is not ok.
     items : sequence of Item, optional
         Instead of what :func:`find_items` finds.
     on_row : callable
@@ -207,16 +204,13 @@ def run_batch(
                     _warn(row["cost"].get("warnings", ()), warned)
                     if on_row is not None:
                         on_row(row)
-                    if fail_fast and row["status"] != "ok":
-                        executor.shutdown(wait=False, cancel_futures=True)
-                        break
                 results.look()
                 doubtful = Doubtful()
                 rows = read_rows(out)
                 summary = summarise(doubtful.noting(rows) if isinstance(job, Localize) else rows)
                 if not todo:  # they are those of the run before
                     summary.hints = read_summary(out).get("hints", [])
-                elif not (fail_fast and summary.failed):
+                else:
                     summary.hints = hints_of(doubtful.of(found), job, executor, means)
             except BaseException:
                 executor.shutdown(wait=False, cancel_futures=True)

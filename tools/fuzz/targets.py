@@ -402,8 +402,8 @@ def _look(name: str, file: str, data: bytes, folder: Path) -> None:
     _written(data, out / file)
     _each(
         lambda: render_report(out),
-        lambda: as_bytes(out, "csv"),
-        lambda: as_bytes(out, "parquet"),
+        lambda: as_bytes(out, ".csv"),
+        lambda: as_bytes(out, ".parquet"),
         lambda: imgloc.run_batch(folder / "map.yaml", None, out, job, resume=True, items=[]),
     )
 
