@@ -215,8 +215,7 @@ def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
             "got 5:2, expected A:B with A below B and A at most 11: a",
         ),
         (("which", "--maps-index", "3"), "3: expected a name that ends in .npz"),
-        (("which", "--index", "3"), "--index: expected --maps-index, which is its name now"),
-        (("evaluate", "--scans-index", "3"), "--scans-index: expected --scans to take from"),
+        (("evaluate", "--scans-index", "3"), "--scans-index: is for evaluate --scans, not"),
     ],
 )
 def test_what_is_no_choice_of_scans_is_said(

@@ -389,8 +389,6 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
         ("check", ["--method", "cbml"], "--method: is for localize, not for check"),
         ("check", ["--heading", "1"], "--heading: is for localize, which, not for check"),
         ("localize", ["--sure", "0.9"], "--sure: is for which, not for localize"),
-        ("evaluate", [], "--job: is no job any more; imgloc evaluate does it map by map"),
-        ("changes", [], "--job: is no job any more; imgloc map changes does it map by map"),
         ("area", [], "--job: got 'area', expected one of localize, check, which"),
         ("which", ["--near", "1,2,3"], "--near: is for localize, not for which"),
         ("which", ["--method", "fused"], "--method: is for localize"),

@@ -24,7 +24,7 @@ from tools.script import parser_of, table_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
-    "__about__", "doors", "equality", "errors", "numbers", "pose", "texts", "ranges", "model",
+    "__about__", "doors", "equality", "errors", "pose", "texts", "ranges", "numbers", "model",
     "geometry", "options", "robot", "io", "features", "likelihoods", "search", "pipeline",
     "answers", "choice", "filters", "simulation", "runs", "output", "live", "cli",
 )  # fmt: skip

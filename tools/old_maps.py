@@ -27,9 +27,8 @@ from imgloc.filters.follow import robot_poses, with_odometry
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.calibrate import fit_along
 from imgloc.model import Pose2D
-from imgloc.options import TOLERANCES, Every, Shared
+from imgloc.options import TOLERANCES, Chosen, Every, Shared
 from imgloc.pipeline import prepare
-from imgloc.simulation.scans import sample_set
 from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.script import at_least_one, ended, parser_of, table_lines
 
@@ -100,7 +99,8 @@ def pieces_of(scans: ScanSet, starts: int) -> Iterator[ScanSet]:
 def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...]]:
     """The rows of a set whose scans are located one by one."""
     grid, recorded = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
-    features, some = prepare(grid, folder.name), sample_set(recorded, n, seed, folder.name)
+    some = recorded.take(Chosen(sample=n, seed=seed).of(len(recorded), folder.name))
+    features = prepare(grid, folder.name)
     walls = {"as drawn": Shared(), "calibrated": fit_along(features, [recorded]).shared}
     for name, shared in walls.items():
         options, found = Options(shared=shared), []

@@ -7,8 +7,8 @@ from pathlib import Path
 from imgloc import ConfigError, ScanSet, load_map, load_scans
 from imgloc.io.files import display
 from imgloc.model import OccupancyGrid
-from imgloc.options import Sensor
-from imgloc.simulation.scans import sample_set, simulate
+from imgloc.options import Chosen, Sensor
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import at_least_one
 
@@ -16,18 +16,18 @@ from tools.script import at_least_one
 def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
     """Pick `n` scans of the file ``scans.npz`` beside a map, as a shorter reach would have them.
 
-    See :func:`imgloc.simulation.scans.sample_set`; all if there are fewer.
+    See :class:`imgloc.options.Chosen`; all if there are fewer.
 
     Raises
     ------
     ScanError
-        If there is no such file, it is no set of scans, or they have no poses.
+        If there is no such file, or it is no set of scans.
     ConfigError
         If `n` is less than 1 or the reach not positive.
     """
-    at_least_one(n=n)
     file = path.with_name("scans.npz")
-    return cut_set(sample_set(load_scans(file), n, seed, display(file)), range_max)
+    scans, some = load_scans(file), Chosen(sample=n, seed=seed)
+    return cut_set(scans.take(some.of(len(scans), display(file))), range_max)
 
 
 def recorded_sets(

@@ -79,7 +79,6 @@ def batch(
     job: Annotated[str, OneOf(*JOBS)] = option(
         "localize",
         "Command whose work is done with each map and file of scans.",
-        parse=lambda name: _job(name),
     ),
     cell: Cell = 0.1,
     range_max: Reach | None = None,
@@ -201,13 +200,6 @@ def _plan(
     if anew := sum(rows.get(item.id, ("", ""))[1] == "ok" for item in todo):
         said += f"; {anew:,} were done with other options, files or versions, and are done anew"
     return todo, said
-
-
-def _job(name: str) -> str:
-    """The name of a job; a ConfigError that has the command of one that is no more."""
-    if name in (gone := {"evaluate": "evaluate", "atlas": "atlas", "changes": "map changes"}):
-        raise ConfigError(f"is no job any more; imgloc {gone[name]} does it map by map")
-    return name
 
 
 def _refuse(given: Given, job: str) -> None:

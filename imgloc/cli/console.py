@@ -78,8 +78,8 @@ class Group(Subgroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; what it raises becomes one line and a typer.Exit with the exit code."""
-        debug = ctx.params["debug"]
-        configure(verbose=ctx.params["verbose"])
+        debug = ctx.params.get("debug", False)
+        configure(verbose=ctx.params.get("verbose", False))
         try:
             result = super().invoke(ctx)
             _flush()

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError, MapError, ScanError, expect
+from imgloc.errors import ConfigError, MapError, expect
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses
@@ -60,7 +60,8 @@ def simulate(
     ((181,), (2, 3))
     """
     expect(grid, OccupancyGrid, "grid")
-    _check_seed(seed)
+    if seed < 0:
+        raise ConfigError(f"the seed must be at least 0, got {seed}")
     sensor = sensor or Sensor()
     angles = ray_angles(sensor.rays, sensor.fov)
     seeds = np.random.SeedSequence(seed).generate_state(2)
@@ -75,36 +76,6 @@ def simulate(
         LaserScan(r, angles, range_max=sensor.range_max, T_base_laser=mount) for r in ranges
     )
     return ScanSet(scans, poses=transform_poses(grid.origin, poses))
-
-
-def sample_set(scans: ScanSet, n: int | None, seed: int, name: str = "scans") -> ScanSet:
-    """Pick `n` recorded scans at random, without repetition; None takes all, in order.
-
-    The indices are ``numpy.random.default_rng(seed).choice(N, min(n, N), replace=False)``.
-
-    Raises
-    ------
-    ScanError, ConfigError
-        If the set, called `name`, has no poses to compare with; if the seed is negative.
-
-    Examples
-    --------
-    >>> line = ScanSet(tuple(LaserScan([k], [0]) for k in range(5)), poses=np.zeros((5, 3)))
-    >>> [int(s.ranges[0]) for s in sample_set(line, 3, 1).scans]
-    [2, 1, 3]
-    """
-    if scans.poses is None:
-        raise ScanError(f"{name}: no poses; expected the true pose of each scan to compare with")
-    _check_seed(seed)
-    if n is None:
-        return scans
-    pick = np.random.default_rng(seed).choice(len(scans), min(n, len(scans)), replace=False)
-    return ScanSet(tuple(scans[int(k)] for k in pick), poses=scans.poses[pick])
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise ConfigError(f"the seed must be at least 0, got {seed}")
 
 
 def simulate_ranges(

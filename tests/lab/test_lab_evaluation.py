@@ -5,7 +5,7 @@ import gc
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError, ScanError
+from imgloc.errors import ConfigError
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, pose_errors, theta_bin, transform_poses
 from imgloc.io.maps import bundled_maps, load_map
@@ -28,7 +28,6 @@ from imgloc.simulation.scans import (
     fine_image,
     refine_grid,
     sample_free_poses,
-    sample_set,
     simulate,
     simulate_ranges,
 )
@@ -215,22 +214,6 @@ def test_the_paper_s_steps_are_known_for_every_stack() -> None:
 def test_errors_go_the_short_way_round() -> None:
     e = pose_errors(np.array([[1, 1, np.pi - 0.1], [4, 5, 0]]), Pose2D(1, 1, -np.pi + 0.1))
     np.testing.assert_allclose(e, [[0, 0.2], [5, np.pi - 0.1]])
-
-
-def test_a_sample_is_numpy_s_choice() -> None:
-    many = ScanSet(
-        tuple(LaserScan([k + 1.0], [0.0]) for k in range(40)),
-        poses=np.arange(120.0).reshape(40, 3),
-    )
-    pick = np.random.default_rng(1).choice(40, 12, replace=False)
-    some = sample_set(many, 12, 1)
-    assert [s.ranges[0] for s in some.scans] == (pick + 1).tolist()
-    assert some.poses is not None
-    assert some.poses[:, 0].tolist() == (3 * pick).tolist()
-    assert len(sample_set(many, 99, 1)) == 40
-    assert sample_set(many, None, 1) is many
-    with pytest.raises(ScanError, match=r"a\.npz: no poses"):
-        sample_set(ScanSet(many.scans), 3, 1, "a.npz")
 
 
 def test_only_bundled_worlds_are_drawn_finely() -> None:

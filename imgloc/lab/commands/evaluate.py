@@ -1,22 +1,19 @@
 """`imgloc evaluate`: how often, how precisely and how fast each method finds known poses."""
 
-import itertools
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Without
-from imgloc.cli.console import emit, say, width
-from imgloc.errors import ConfigError, MapError
+from imgloc.cli.command import Given, Without
+from imgloc.cli.console import LOG, emit, progress, say, width
+from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.io.files import display, is_there, map_name
 from imgloc.options import (
     ALL_METHODS,
     TOLERANCES,
     Cell,
     Chosen,
-    Count,
     Factor,
     Logs,
     Mounting,
@@ -25,14 +22,28 @@ from imgloc.options import (
     Sensor,
     Tolerance,
 )
-from imgloc.ranges import option
+from imgloc.ranges import Within, option
 from imgloc.texts import metres_degrees, names
 
-_MAX_SCANS = 100_000
+if TYPE_CHECKING:
+    from imgloc.io.scanset import ScanSet
+    from imgloc.model import OccupancyGrid
+    from imgloc.runs.jobs import Item
+    from imgloc.runs.opening import Desk, MapFiles, ScanFiles
+
+_SIMULATED, _RECORDED = "evaluate without --scans", "evaluate --scans"
+#: Of which of the two options are that the other would not notice.
+_OF = {
+    **dict.fromkeys(("--rays", "--fov-deg", "--sigma", "--outliers", "--dropped"), (_SIMULATED,)),
+    **dict.fromkeys(("--clearance", "--sensor", "-n", "--count", "--seed"), (_SIMULATED,)),
+    **dict.fromkeys(("--flipped", "--range-scale", "--scans-index"), (_RECORDED,)),
+    **dict.fromkeys(("--sample", "--sample-seed"), (_RECORDED,)),
+}
 
 
 def evaluate(
     *,
+    given: Given,
     maps: list[Path] = option(
         ...,
         "Maps: the YAML of map_server, an image with --resolution, or the name of a bundled map.",
@@ -50,8 +61,8 @@ def evaluate(
         metavar="NAMES",
         parse=names(ALL_METHODS),
     ),
-    count: Count | None = option(
-        None, "Scans that are simulated on each map. [default: 100]", "-n", "--count"
+    count: Annotated[int, Within(1, 100_000, "")] = option(
+        100, "Scans that are simulated on each map.", "-n", "--count"
     ),
     seed: Seed = 0,
     range_max: Reach | None = None,
@@ -88,48 +99,106 @@ def evaluate(
     """
     from imgloc.cli import inputs
     from imgloc.io.badlines import warned
-    from imgloc.lab.jobs import Evaluate
+    from imgloc.io.calibration import calibrated
+    from imgloc.lab import evaluation
     from imgloc.lab.tables import evaluation_tables
     from imgloc.model import to_json
 
     read = inputs.map_files(reading)
-    _check_sources(maps, scans, count, chosen, sensor, mounting, range_scale)
+    opt.refuse_others(given, _OF, {_SIMULATED if scans is None else _RECORDED})
+    if scans is not None and len(scans) != len(maps):
+        raise ConfigError(f"--scans: got {len(scans)} for {len(maps)} maps, expected one each")
     laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
     if scans is None:
         sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
     recorded = Logs(scale=range_scale, range_max=range_max)
-    jobs = [
-        Evaluate(
-            method=name,
-            theta_step=theta_step,
-            cell=cell,
-            tolerances=(*TOLERANCES, *(tolerance or ())),
-            maps=read,
-            scans=inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped)),
-            sensor=sensor,
-            count=count or 100,
-            seed=seed,
-        )
-        for name in method
-    ]
+    how = inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped))
     table, notes = list[dict[str, Any]](), list[str]()
     with warned(also_printed=True) as said:
         for k, path in enumerate(maps):
-            name = map_name(path)
-            item = inputs.item_of(path, None if scans is None else scans[k], name)
-            desk = inputs.desk_of(**vars(taken))
-            # All of them are opened before the first one takes its time.
-            for row in itertools.chain.from_iterable([job.open(item, desk) for job in jobs]):
-                table.append(row)
+            desk, name = inputs.desk_of(**vars(taken)), map_name(path)
+            grid = desk.grid(path, read, usable=True)
+            file = None if scans is None else scans[k]
+            if file is None:
+                trials, source = _simulated(path, grid, sensor, count, seed, desk)
+            else:
+                trials, source = _recorded(file, how, desk)
+            plans = []  # all of them are checked before the first one takes its time
+            for one in method:
+                plan = evaluation.method_options(one, theta_step, taken.threads)
+                plan = replace(plan, memory_budget=taken.memory_budget)
+                known = calibrated(plan, path, grid)
+                if file is None:  # scans simulated in the map have no error of its scale
+                    known = replace(known, shared=plan.shared)
+                # Their bytes are part of the row, so no other method may have used them.
+                features = desk.features(
+                    path, read, known, cell=cell, scans=trials.scans, fresh=True
+                )
+                plans.append((known, features))
+            rows = []
+            while plans:  # what a method has made of the map goes with it
+                known, features = plans.pop(0)
+                with progress(f"{name}: {known.method}", len(trials), lines=False) as advance:
+                    found = evaluation.evaluate(
+                        features, trials, known,
+                        tolerances=(*TOLERANCES, *(tolerance or ())), advance=advance,
+                    )  # fmt: skip
+                LOG.info("%s: %s: S %.2f", name, known.method, found.summary.index.value)
+                rows.append(found.as_row(name, {"map": display(path), **source}))
                 if as_json:
-                    emit(to_json(row))
-            if scans is not None and not any(map(_works, table[-len(jobs) :])):
-                notes += jobs[0].doubts(item, desk)
+                    emit(to_json(rows[-1]))
+            table += rows
+            if file is not None and not any(map(_works, rows)):
+                notes += _doubts(inputs.item_of(path, file), read, how, cell, desk)
     if not as_json:
         emit(evaluation_tables(table, width()))
     # Lines that were left out are told once more, below the table.
     for note in [*(text for text, code in said.items() if code in ("broken", "cut")), *notes]:
         say(note)
+
+
+def _simulated(
+    path: Path, grid: "OccupancyGrid", sensor: Sensor, count: int, seed: int, desk: "Desk"
+) -> "tuple[ScanSet, dict[str, Any]]":
+    """Scans simulated in a map, and their source."""
+    from imgloc.simulation.scans import fine_image, is_world, simulate
+
+    world = is_world(path, grid)  # in a bundled map rays meet its true walls, not its cells
+    desk.check_simulation(grid, display(path), count, sensor.rays, world=world)
+    trials = simulate(grid, count, seed, sensor, fine_image(path, grid))
+    return trials, {"seed": seed, "sensor": asdict(sensor)}
+
+
+def _recorded(path: Path, how: "ScanFiles", desk: "Desk") -> "tuple[ScanSet, dict[str, Any]]":
+    """Scans of a file, and their source; a ScanError if their poses are not known."""
+    taken = desk.scans(path, how)
+    if taken.scans.poses is None:
+        raise ScanError(
+            f"{taken.name}: no poses; expected the true pose of each scan to compare with"
+        )
+    chosen = how.chosen
+    source: dict[str, Any] = {"scans": taken.name, "sample": chosen.sample}
+    source |= {"sample_seed": chosen.seed}
+    source |= {"range_max": how.range_max, "flipped": how.flipped}
+    source |= {} if how.scale == 1 else {"range_scale": how.scale}
+    return taken.scans, source | ({} if chosen.index is None else {"index": chosen.index})
+
+
+def _doubts(
+    item: "Item", maps: "MapFiles", how: "ScanFiles", cell: float, desk: "Desk"
+) -> list[str]:
+    """What may keep recorded scans from being found: sentences, tried on a few of them."""
+    from imgloc.answers.logcheck import located
+    from imgloc.answers.truth import NOT_TRUE, poses_fit
+    from imgloc.runs.localize import Localize
+
+    run = Localize(maps=maps, scans=how, cell=cell).open(item, desk)
+    scans, grid = run.taken.scans, run.features.grid
+    some, answers = located(run.features, scans, run.options)
+    found = run.doubts(some, [(answer.verdict, answer.evidence) for answer in answers])
+    if not found and scans.poses is not None and poses_fit(grid, scans.scans, scans.poses) is False:
+        return [f"{run.taken.name}: {NOT_TRUE}"]
+    return [doubt.said for doubt in found]
 
 
 def _map_of(path: Path) -> Path:
@@ -149,28 +218,3 @@ def _map_of(path: Path) -> Path:
 def _works(row: dict[str, Any]) -> bool:
     """Return whether a method finds most of the poses."""
     return bool(row["success"][-1]["at_1"]["value"] >= 0.5)
-
-
-def _check_sources(
-    maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, chosen: Chosen,
-    sensor: Sensor, mounting: Mounting, range_scale: float,
-) -> None:  # fmt: skip
-    """Refuse options that would be ignored."""
-    n, many, sampled = len(scans or ()), count or 0, chosen.sample is not None
-    simulated = {
-        "--flipped: expected --scans; simulated sensors are upright": mounting.flipped,
-        "--sample: expected --scans to take from; -n is for simulated scans": sampled,
-        "--range-scale: expected --scans; simulated ranges are in metres": range_scale != 1,
-        "--scans-index: expected --scans to take from": chosen.index is not None,
-        f"-n: got {many:,}, expected at most {_MAX_SCANS:,} scans": many > _MAX_SCANS,
-    }
-    recorded = {
-        f"--scans: got {n} for {len(maps)} maps, expected one each": n != len(maps),
-        "-n: recorded scans are not simulated; use --sample": count is not None,
-        "--scans: options of a simulated sensor do not go with recorded scans": sensor != Sensor(),
-        "--sensor: the poses of recorded scans are those of the sensor": mounting.sensor
-        is not None,
-    }
-    for message, wrong in (simulated if scans is None else recorded).items():
-        if wrong:
-            raise ConfigError(message)
