@@ -234,7 +234,7 @@ def find_modes_by_steps(
         others = [np.empty((0, 3))]
         for part in seen.parts():
             if time.monotonic() < end:
-                others.append(propose(features, part.spread(fused.few_rays // 2), options, end))
+                others.append(propose(features, part.spread(fused.few_rays), options, end))
                 yield
         looked, _ = look(features, np.concatenate(others), few, options, before=looked)
         yield

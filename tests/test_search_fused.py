@@ -114,7 +114,7 @@ def test_parts_propose_only_where_the_whole_scan_does_not_fit(monkeypatch):
     short = np.random.default_rng(3).uniform(0.2, 1.0, len(ANGLES)) ** 2
     find_modes(features, dataclasses.replace(scan, ranges=scan.ranges * short), Options())
     few = Options().fused.few_rays
-    assert asked[1:] == [few, few // 2, few // 2, few // 2]
+    assert asked[1:] == [few] * 4
 
 
 @given(seeds)

@@ -1,5 +1,6 @@
 """The deciding score against loops over readings, and what each of its terms is for."""
 
+import cmath
 import itertools
 import math
 from dataclasses import replace
@@ -112,10 +113,15 @@ def test_the_score_equals_the_loops(seed, model):
 def naive_pieces(ranges, angles):
     """Indices of the readings in pieces of 20 degrees without a jump of 0.5 m."""
     order = sorted(range(len(angles)), key=lambda k: angles[k])
+    ends = [ranges[k] * cmath.exp(1j * angles[k]) for k in (order[0], order[-1])]
+    if abs(ends[0] - ends[1]) <= 0.5:  # begin where a surface does
+        jumps = [abs(ranges[k] - ranges[j]) > 0.5 for j, k in itertools.pairwise(order)]
+        begin = jumps.index(True) + 1 if any(jumps) else 0
+        order = order[begin:] + order[:begin]
     pieces = [[order[0]]]
     for before, k in itertools.pairwise(order):
-        first = angles[order[0]]
-        turned = [math.floor((angles[j] - first) / math.radians(20)) for j in (before, k)]
+        full, first = 2 * math.pi, angles[order[0]]
+        turned = [math.floor((angles[j] - first) % full / math.radians(20)) for j in (before, k)]
         if turned[0] == turned[1] and abs(ranges[k] - ranges[before]) <= 0.5:
             pieces[-1].append(k)
         else:
@@ -400,6 +406,32 @@ def test_a_cart_of_many_pieces_is_one_thing(split, things):
     assert sum(one.share for one in things_at(readings, got, 0)) == pytest.approx(hidden / 121)
     own = hidden * (model.best - number("rescore.apart")) - things * number("rescore.price")
     assert got.things[0] - own == pytest.approx(model.best * (121 - hidden), abs=8.0)
+
+
+@given(seeds, st.integers(1, 71))
+@settings(max_examples=20)
+def test_the_surfaces_of_a_full_turn_are_those_of_any_heading(seed, turned):
+    """A thing over the first angle is one thing, and its bearing is within it."""
+    angles = np.deg2rad(np.arange(-180, 180, 5.0))
+    ranges = np.repeat(np.random.default_rng(seed).choice([1.0, 3.0], 18), 4)
+    ranges[:8] = np.repeat([1.0, 3.0], 4)
+
+    def surfaces(turn):
+        order, parts, goes_on = pieces(np.roll(ranges, turn), angles)
+        surface = np.searchsorted(parts[~goes_on], np.arange(72), "right")
+        ids = (order - turn) % 72
+        return {tuple(sorted(ids[surface == k].tolist())) for k in np.unique(surface)}
+
+    assert surfaces(turned) == surfaces(0)
+
+
+def test_a_thing_behind_the_sensor_is_one_thing():
+    angles = np.deg2rad(np.arange(-180, 180, 1.0))
+    readings = Readings(np.where(np.abs(angles) < np.deg2rad(151), 3.0, 0.8), angles)
+    features = MapFeatures(OccupancyGrid(corridor(), ~corridor(), RESOLUTION))
+    scores = score_poses(features, readings, np.array(POSE), EvidenceModel())
+    near = [one for one in things_at(readings, scores, 0) if one.distance < 1]
+    assert [round(math.degrees(one.bearing)) % 360 for one in near] == [180]
 
 
 def test_what_hides_a_wall_costs_once():

@@ -134,9 +134,8 @@ def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ..
     begins = ~goes_on | (np.diff(kind, prepend=-1) != 0)
     parts, kind, through = parts[begins], kind[begins], through[begins]
     sizes = _sizes(parts, len(order))
-    angle, far = (
-        np.add.reduceat(each[order], parts) / sizes for each in (readings.angles, readings.ranges)
-    )
+    angle = np.angle(np.add.reduceat(np.exp(1j * readings.angles[order]), parts))
+    far = np.add.reduceat(readings.ranges[order], parts) / sizes
     found = np.flatnonzero(kind)
     return tuple(
         Thing(float(angle[k]), float(far[k]), float(sizes[k] / len(order)), bool(through[k]))
@@ -272,14 +271,19 @@ def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray, 
     """Cut readings (N,), metres and radians, into pieces of wall.
 
     Returns the order (N,) of the readings by their angles, where in it each piece begins, (P,), and
-    whether it goes on with the surface of the piece before, (P,).
+    whether it goes on with the surface of the piece before, (P,). Where a surface goes on over the
+    first angle, the order begins at the next one.
     """
     angle, jump = _PIECE
     order = np.argsort(angles, kind="stable")
-    turned, far = angles[order], np.abs(np.diff(ranges[order])) > jump
-    wide = np.diff(np.floor((turned - turned[0]) / angle)) > 0
-    parts = np.flatnonzero(np.append(True, far | wide))
-    return order, parts, ~np.append(True, far)[parts]
+    far = np.abs(np.diff(ranges[order], prepend=ranges[order[-1]])) > jump
+    last, first = ranges[order[[-1, 0]]] * np.exp(1j * angles[order[[-1, 0]]])
+    begin = int(far.argmax()) if abs(first - last) <= jump else 0
+    order, far = np.roll(order, -begin), np.roll(far, -begin)
+    far[0] = True
+    turned = np.floor((angles[order] - angles[order[0]]) % (2 * np.pi) / angle)
+    parts = np.flatnonzero(far | (np.diff(turned, prepend=turned[0]) != 0))
+    return order, parts, ~far[parts]
 
 
 def piece_evidence(distance: Float32Array, parts: IntArray, model: EvidenceModel) -> FloatArray:
