@@ -143,7 +143,7 @@ class Locating:
         return doubts(self.features, scans, said, self.options, self._given)
 
     def mirrored(self, scans: ScanSet, said: Said) -> Cause | None:
-        """True if scans of which this was `said`, and which do not fit, do so mirrored."""
+        """The cause if scans of which this was `said`, and which do not fit, do so mirrored."""
         if not self._tries:
             return None
         return mirrored(self.features, scans, said, self.options, self._given)
