@@ -20,7 +20,7 @@ class ByContent:
 
 
 def content(value: Any) -> Hashable:
-    """What a value holds, of plain parts that can be hashed and compared.
+    """The contents of a value, of plain parts that can be hashed and compared.
 
     Examples
     --------

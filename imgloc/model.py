@@ -275,7 +275,7 @@ class LaserScan(ByContent):
 
     @property
     def digest(self) -> str:
-        """What tells the readings, angles and limits from those of other scans."""
+        """A digest of the readings, angles and limits, other than that of any other scan."""
         parts = (np.array([self.range_min, self.range_max]), self.ranges, self.angles)
         held = b"".join(part.tobytes() for part in parts)
         return hashlib.blake2b(held, digest_size=8).hexdigest()

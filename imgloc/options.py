@@ -87,7 +87,7 @@ FEW = number("options.few_votes")
 
 @dataclass(frozen=True)
 class Calibration(Checked):
-    """What makes a probability of one method's stack."""
+    """Values that make a probability of one method's stack."""
 
     #: standard deviation, metres, of the Gaussian that blurs positions (eq. 8)
     sigma_xy: Metres = 0.0
@@ -111,7 +111,7 @@ class Calibration(Checked):
 
 
 def scale(method: str, readings: int) -> float:
-    """What the number of readings does to a temperature.
+    """The factor of a temperature for a number of readings.
 
     Logarithms are sums over the readings, whose errors are shared: the pose is beside the centre
     of its cell, the walls of the map are beside the true ones. Votes are compared with one
@@ -276,7 +276,7 @@ class Bending(Checked):
 
 @dataclass(frozen=True)
 class FusedOptions(Checked):
-    """What the search spends where."""
+    """Effort of the search, part by part."""
 
     #: step between the headings of the endpoint correlation, radians
     theta_step: Step = number("FusedOptions.theta_step")
@@ -343,7 +343,7 @@ class Shared(Checked):
 
 @dataclass(frozen=True)
 class Trust(Checked):
-    """What turns evidence into probabilities and a verdict."""
+    """Numbers that turn evidence into probabilities and a verdict."""
 
     #: fewest directions with a valid reading: a scan with fewer is ``invalid``
     readings: Annotated[int, Within(0, 1e6, "directions")] = number("Trust.readings")
@@ -551,7 +551,7 @@ TOLERANCES = tuple(Tolerance(*number(f"tolerances.{name}")) for name in ("usual"
 
 @dataclass(frozen=True)
 class Every(Checked):
-    """How far the robot goes or turns between two scans of a laser that are looked at."""
+    """Way or turn of the robot between two scans of a laser that are looked at."""
 
     metres: Metres = 0.5
     radians: Annotated[float, Within(0, 1e6, "radians")] = math.pi / 6
@@ -559,7 +559,7 @@ class Every(Checked):
 
 @dataclass(frozen=True)
 class Limits(Checked):
-    """How uncertain a pose may be and still be published: standard deviations."""
+    """Uncertainty at which a pose is still published: standard deviations."""
 
     metres: Annotated[float, Within(1e-3, 1e6, "metres")] = 0.5  #: along the longest axis
     radians: Annotated[float, Within(1e-4, 1e6, "radians")] = math.pi / 18
@@ -613,7 +613,7 @@ Sure = Annotated[
 
 
 class Reading(TypedDict, total=False):
-    """How a map is to be read: parameters of :func:`imgloc.load_map`, which documents them."""
+    """The way in which a map is read: parameters that :func:`imgloc.load_map` documents."""
 
     resolution: Annotated[
         Millimetres | None,
@@ -735,7 +735,7 @@ class Chosen(Checked):
 
 @dataclass(frozen=True)
 class Known(Checked):
-    """What is known of the poses of all scans, map frame; None where nothing is."""
+    """Knowledge of the poses of all scans, map frame; None where there is none."""
 
     near: Annotated[tuple[Place, Place, Angle, Radius, Turn] | None, Some(RADIUS, TOLERANCE)] = (
         option(
@@ -775,7 +775,7 @@ Sweeps = Annotated[str, OneOf("no", "forward", "backward")]
 
 @dataclass(frozen=True)
 class Logs(Checked):
-    """How files of scans are read."""
+    """The way in which files of scans are read."""
 
     topic: str | None = option(
         None,
@@ -824,7 +824,7 @@ class Logs(Checked):
 
 @dataclass(frozen=True)
 class Mounting(Checked):
-    """How the sensor sits on the robot."""
+    """The place of the sensor on the robot."""
 
     sensor: Pose2D | None = option(
         None,
@@ -843,7 +843,7 @@ class Mounting(Checked):
 
 @dataclass(frozen=True)
 class Drawn(Checked):
-    """How others drew the walls of a map; None is what was calibrated for the map.
+    """Walls of a map as others drew them; None is what was calibrated for the map.
 
     Examples
     --------
@@ -924,7 +924,7 @@ FILTERS = ("tracker", "grid", "particle")
 
 @dataclass(frozen=True)
 class Followed(Checked):
-    """How a robot is followed."""
+    """The way in which a robot is followed."""
 
     filter: Annotated[str, OneOf(*FILTERS)] = option("tracker", "Filter that follows the robot.")
     every: Every = option(

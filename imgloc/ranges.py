@@ -106,7 +106,7 @@ class Some:
 
 
 class Doc:
-    """What a field is: a text that stands on its own, with the unit."""
+    """A description of a field: a text that stands on its own, with the unit."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -162,7 +162,7 @@ class Declared:
 
     @property
     def flag(self) -> str:
-        """How the option is written; of an argument, what stands for it."""
+        """The option as it is written; of an argument, what stands for it."""
         names = self.option.names if self.option else ()
         return names[0].partition("/")[0] if names else "--" + self.name.replace("_", "-")
 
@@ -173,7 +173,7 @@ class Declared:
 
     @property
     def metavar(self) -> str | None:
-        """What stands for the value in the help; None for a switch."""
+        """The word for the value in the help; None for a switch."""
         if self.option is not None and self.option.metavar:
             return self.option.metavar
         if isinstance(self.limit, OneOf):
@@ -328,7 +328,7 @@ def _checks(kind: Any) -> tuple[tuple[str, Check], ...]:
 
 
 def check_of(hint: Any) -> Check | None:
-    """What checks a value by an annotation; None for one that limits nothing."""
+    """A function that checks a value by an annotation; None for one that limits nothing."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
         limits = [note for note in parts[1:] if isinstance(note, Limit)]
@@ -352,7 +352,7 @@ def check_of(hint: Any) -> Check | None:
 
 
 def _limited(kind: Any, limit: Limit) -> Check:
-    """What checks a number or text that has a limit."""
+    """A function that checks a number or text that has a limit."""
     optional = types.NoneType in get_args(kind)
     kinds = [part for part in (get_args(kind) or (kind,)) if part is not types.NoneType]
     whole, expected = kinds == [int], expected_of(kinds[0], limit)
@@ -367,13 +367,13 @@ def _limited(kind: Any, limit: Limit) -> Check:
 
 
 def expected_of(kind: Any, limit: Limit, factor: float = 1.0, unit: str = "") -> str:
-    """What a value has to be, in words; in another `unit` if its `factor` is given."""
+    """Words for what a value has to be; in another `unit` if its `factor` is given."""
     words = limit.words(factor, unit) if unit and isinstance(limit, Within) else str(limit)
     return f"a whole number, {words}" if kind is int else words
 
 
 def _each(parts: Any, *, exact: bool, least: int) -> Check:
-    """What checks the parts of a tuple, or of a sequence of any length."""
+    """A function that checks the parts of a tuple, or of a sequence of any length."""
     checks = [check_of(part) for part in parts if part is not ...]
 
     def check(value: Any) -> Refused:

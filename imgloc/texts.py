@@ -16,7 +16,7 @@ FAR = 1e6  #: metres: no place has greater coordinates
 
 
 def byte_count(text: str) -> int:
-    """Bytes of a number with a unit of powers of 1024, or without one.
+    """Bytes of a number with a unit, which is a power of 1024, or without one.
 
     Examples
     --------

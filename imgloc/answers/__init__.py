@@ -1,1 +1,1 @@
-"""What is built on one answer: why it is given, what may be wrong with the scans, draws."""
+"""Built on one answer: why it is given, what may be wrong with the scans, draws."""

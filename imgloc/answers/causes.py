@@ -1,4 +1,4 @@
-"""What may be wrong with scans, with a log of them or with a map: one table of causes.
+"""Causes of trouble with scans, with a log of them or with a map: one table.
 
 A cause has a sentence and what mends it, and stands where it is tried; who does so fills in values.
 
@@ -25,7 +25,7 @@ from imgloc.options import Drawn, Shared
 
 @dataclass(frozen=True)
 class Cause:
-    """What most likely is wrong, and what mends it."""
+    """A likely cause, and what mends it."""
 
     code: str  #: one word that names it, the same in every version
     text: str  #: a sentence or two
@@ -45,7 +45,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Given:
-    """What was stated about scans before they were located."""
+    """Statements about scans, made before they were located."""
 
     flipped: bool = False  #: they were taken for those of a sensor that hangs upside down
     range_scale: float = 1.0  #: their ranges were multiplied by it

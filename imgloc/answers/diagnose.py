@@ -1,4 +1,4 @@
-"""What may be wrong when scans do not fit a map: tried on the scans, not guessed.
+"""Causes of scans that do not fit a map: tried on the scans, not guessed.
 
 Upside down, other units, a map of another scale: each is one more answer for a few of the scans.
 """
@@ -430,7 +430,7 @@ def why_invalid(scans: Sequence[LaserScan]) -> str:
 
 
 def few_readings(scans: Sequence[LaserScan]) -> str:
-    """What the readings are of scans that have too few: probably millimetres, or their counts.
+    """Readings of scans that have too few of them: probably millimetres, or their counts.
 
     Examples
     --------

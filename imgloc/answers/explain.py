@@ -64,7 +64,7 @@ _CHUNK = 1 << 24  # cells of its stack at a time
 
 @dataclass(frozen=True, eq=False)
 class RayFit(ByContent):
-    """What became of N rays at a pose.
+    """The fate of N rays at a pose.
 
     A ray that ``agrees`` ends on a surface that faces it, and met no wall before; the surface
     faces elsewhere (``orientation``), the ray passes through a mapped wall (``visibility``), or
@@ -79,7 +79,7 @@ class RayFit(ByContent):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """How many rays there are of each kind."""
+        """Number of rays of each kind."""
         return {kind: int(np.count_nonzero(self.kind == kind)) for kind in KINDS}
 
 

@@ -1,4 +1,4 @@
-"""How a scan fits one pose that is given: its score, and what each ray says, as an answer has it.
+"""The fit of a scan at a pose that is given: its score, and each ray, as an answer has it.
 
 >>> from imgloc.model import OccupancyGrid
 >>> from imgloc.pipeline import prepare

@@ -1,4 +1,4 @@
-"""What is in a log of scans, and what is likely to be wrong with it, before it is used.
+"""A look into a log of scans, and at its likely faults, before it is used.
 
 >>> from imgloc.model import LaserScan
 >>> scan = LaserScan(np.full(90, 2000.0), np.linspace(-1.5, 1.5, 90))
@@ -60,7 +60,7 @@ _UNDONE = {"units", "flipped", "few", "two-lasers", "view"}  # with which no sca
 
 @dataclass(frozen=True, eq=False)
 class LogReport:
-    """What is in a log, and what is likely to be wrong with it."""
+    """The contents of a log, and its likely faults."""
 
     facts: Mapping[str, Any]  #: plain values, by name; metres, seconds, degrees as names say
     findings: tuple[Cause, ...]

@@ -1,4 +1,4 @@
-"""Whether scans and odometry of a log agree: what a scan sees lies where an earlier one saw it.
+"""Agreement of scans and odometry of a log: what a scan sees lies where an earlier one saw it.
 
 No map is needed. Two scans are laid over each other as the odometry moved the sensor between them;
 the share of the readings that fall on each other tells how well that went. If it is small, the same
@@ -41,7 +41,7 @@ Odometry = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Way:
-    """What may be wrong with a log, and what undoes it."""
+    """A possible fault of a log, and what undoes it."""
 
     code: str
     value: float = 0.0  #: factor, angle in radians or seconds, as the code needs it
@@ -58,7 +58,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well scans and odometry of a log agree, 0 to 1, and how well if something is undone."""
+    """Agreement of scans and odometry of a log, 0 to 1, as they are and with something undone."""
 
     share: float  #: NaN if the robot does not move enough
     best: Way | None = None  #: what makes them agree, if they do not
@@ -67,7 +67,7 @@ class Agreement:
 
 
 def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
-    """How well scans agree with poses of the robot (N, 3), finite, in the odometry's frame."""
+    """Agreement of scans with poses of the robot (N, 3), finite, in the odometry's frame."""
     if len(scans) < _LEAST:
         return Agreement(math.nan)
     pairs = _pairs(odom, scans)
@@ -86,7 +86,7 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
 
 
 def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
-    """How well scans agree with poses (N, 3) of the robot, forward and backward straightened.
+    """Agreement of scans with poses (N, 3) of the robot, forward and backward straightened.
 
     The shares are those of :func:`agreement`, by the direction; None if no scan states how long it
     took, or the robot does not move enough.
@@ -123,7 +123,7 @@ def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
 
 
 def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
-    """What is tried, the likeliest first."""
+    """Faults that are tried, the likeliest first."""
     ways = [Way("flipped", scan=lambda s: s.flipped),
             Way("odometry-turn", odom=lambda o: o * (1, 1, -1))]  # fmt: skip
     for factor in (0.001, 0.01):
@@ -147,7 +147,7 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
 
 
 def _two(ways: Sequence[Way]) -> list[Way]:
-    """What may be wrong at once: a raw frame is clockwise and turned, in millimetres besides."""
+    """Faults that come together: a raw frame is clockwise and turned, in millimetres besides."""
     some = [way for way in ways if way.code in ("units", "flipped", "mounting")]
     return [
         replace(a, scan=lambda s, a=a, b=b: b.scan(a.scan(s)), then=b)  # type: ignore[misc]
@@ -220,7 +220,7 @@ def _share(
 
 
 def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0) -> float:
-    """Share of the valid readings of a scan that fall on those of one before, NaN if few are valid.
+    """Share of a scan's valid readings that fall on those of one before, NaN if few are valid.
 
     The robot's motion `step` is in its own frame. Cells are as fine as the ranges are short, so
     that no unit is better than another, but not finer than the noise; `unit` is the factor that

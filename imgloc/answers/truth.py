@@ -1,4 +1,4 @@
-"""Whether recorded poses are true ones: scans lie on the walls of the map there, not beside it."""
+"""Recorded poses, checked: scans at true ones lie on the walls of the map there, not beside it."""
 
 import logging
 import math

@@ -1,4 +1,4 @@
-"""`imgloc batch`: every map of a folder with every file of scans of another, nothing lost."""
+"""`imgloc batch`: every map in a folder with every file of scans in another, nothing lost."""
 
 import contextlib
 import sys
@@ -168,7 +168,7 @@ def batch(
 
 
 def _means(memory_limit: int | None, workers: int, kept: opt.Kept) -> "Means":
-    """What each of so many workers has; 0 of them are elsewhere, and say themselves."""
+    """The means of each of so many workers; 0 of them are elsewhere, and know their own."""
     from imgloc.cli import inputs
     from imgloc.features.budget import MIB, default_budget
     from imgloc.output.drawings import DRAWINGS
@@ -183,7 +183,7 @@ def _means(memory_limit: int | None, workers: int, kept: opt.Kept) -> "Means":
 def _plan(
     items: "list[Item]", job: "Job", out: Path | None, *, retry_failed: bool
 ) -> "tuple[list[Item], str]":
-    """What is left to do, beside the rows that are in `out` already, and this in words."""
+    """The work that is left, beside the rows that are in `out` already, and this in words."""
     from imgloc.runs.batch import remaining
     from imgloc.runs.results import RESULTS, id_of, read_rows
 

@@ -214,7 +214,7 @@ def _kind_name(part: _Part) -> str:
 
 
 def _parameter(part: _Part, field: Declared) -> inspect.Parameter:
-    """What Typer is given of an option: its name and help; values are read here."""
+    """An option as Typer is given it: its name and help; values are read here."""
     option = field.option
     if option is None:
         raise TypeError(f"{part.name}.{field.name} has no Option in its annotation")
@@ -240,7 +240,7 @@ def _parameter(part: _Part, field: Declared) -> inspect.Parameter:
 
 
 def _completion(known: Sequence[str]) -> Callable[[str], list[str]]:
-    """What completes, for a shell, a name that begins as was typed."""
+    """A function that completes, for a shell, a name that begins as was typed."""
 
     def complete(incomplete: str) -> list[str]:
         return [name for name in known if name.startswith(incomplete)]

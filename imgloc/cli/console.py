@@ -1,4 +1,4 @@
-"""What the commands share: output, progress, and the end of a run that fails.
+"""Shared by the commands: output, progress, and the end of a run that fails.
 
 Standard output carries results only. Everything else, logs, progress, errors, goes to standard
 error.

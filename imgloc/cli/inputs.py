@@ -1,4 +1,4 @@
-"""What the commands share of files: the desk they work at, what they write, what is known.
+"""Shared by the commands, of files: the desk they work at, what they write, what is known.
 
 This loads all of imgloc: a command imports it when it runs.
 """
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
 
 def desk_of(threads: int, memory_budget: int, cache: Path | None = None) -> Desk:
-    """What a command works with."""
+    """The desk of a command."""
     return Desk(threads, memory_budget, cache, progress=progress)
 
 
 def map_files(reading: MapImages, *, many: bool = False) -> MapFiles:
-    """How the maps of a command are read; the options of its only map override the YAML."""
+    """The way to read the maps of a command; the options of its only map override the YAML."""
     given: Any = dict(reading)
     lossy = given.pop("allow_lossy", False)
     return MapFiles(given, lossy, many)
@@ -60,7 +60,7 @@ def as_recorded(
     logs: Logs = Logs(), chosen: Chosen = Chosen(), mounting: Mounting = Mounting(),
     *, many: bool = False,
 ) -> ScanFiles:  # fmt: skip
-    """How the scans of a command are read."""
+    """The way in which the scans of a command are read."""
     flipped, mount = mounting.flipped, mounting.sensor
     return ScanFiles(**vars(logs), chosen=chosen, flipped=flipped, mount=mount, many=many)
 
@@ -187,7 +187,7 @@ def aged_words(
 def site_makers(
     paths: Mapping[str, Path], maps: MapFiles, options: Options, folder: Path | None
 ) -> tuple[dict[str, Callable[[], "Site"]], Callable[[str, "Site"], None]]:
-    """What makes each map, by its name, and what keeps it in the cache once it is made."""
+    """Makers of the maps, by name, and what keeps a map in the cache once it is made."""
     from imgloc.live.sites import Site  # with the filters, which few commands use
 
     def made(path: Path) -> Site:

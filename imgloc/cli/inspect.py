@@ -74,7 +74,7 @@ def inspect(
 
 
 def _is_map(path: Path) -> bool:
-    """Whether a file is a map: an image, a YAML that names one, or a bundled map by its name."""
+    """True of a map: an image, a YAML that names one, or a bundled map by its name."""
     from imgloc.errors import MapError
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
     from imgloc.io.maps import YAML_ENDINGS

@@ -1,4 +1,4 @@
-"""What several commands have: arguments, files, and what a command may take of the machine."""
+"""Shared by several commands: arguments, files, and what each may take of the machine."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -115,7 +115,7 @@ def fixed_budget(memory_budget: int | None = None) -> int:
 
 @dataclass(frozen=True)
 class Resources:
-    """What a command may take to its end: threads, and bytes of memory."""
+    """The share of the machine that a command may take: threads, and bytes of memory."""
 
     threads: Count = option(
         ...,
@@ -141,7 +141,7 @@ class Kept:
 
 
 class MapImages(Reading, total=False):
-    """How the images of maps are read."""
+    """Options by which images of maps are read."""
 
     allow_lossy: Annotated[bool, Option("Accept a map image with lossy compression, such as JPEG.")]
 
@@ -155,7 +155,7 @@ MapFrame = Annotated[
 def refuse_others(given: Given, ways: Mapping[str, Sequence[str]], way: set[str]) -> None:
     """Refuse an option that was typed and that none of these ways to work would notice.
 
-    `ways` tells the ways that notice an option.
+    `ways` has the ways that notice an option.
     """
     for name in sorted(given & ways.keys()):
         if way.isdisjoint(ways[name]):

@@ -128,7 +128,7 @@ _TAKEN = ("scale", "range_max", "sensor", "flipped")  # the page has controls fo
 
 
 def _taken(logs: Logs, mounting: Mounting) -> dict[str, Any]:
-    """How the scans were taken, as the service's parameters say it; None for what is as usual."""
+    """The service's parameters for how scans were taken; None for what is as usual."""
     said = {"range_scale": None if logs.scale == 1 else logs.scale, "range_max": logs.range_max}
     sensor = None if mounting.sensor is None else ",".join(map(str, mounting.sensor))
     return {**said, "sensor": sensor, "flipped": mounting.flipped or None}

@@ -115,7 +115,7 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Asked(Checked):
-    """What is asked of the log."""
+    """Questions to the log."""
 
     start: Pose2D | None = option(
         None,
@@ -335,7 +335,7 @@ def _scans_of(
 
 @dataclass(frozen=True)
 class _Told:
-    """How a moment is printed."""
+    """The way in which a moment is printed."""
 
     origin: Pose2D  #: of the grid
     as_json: bool
@@ -359,7 +359,7 @@ class _Told:
 def _watched(
     path: Path | None, features: "MapFeatures", options: Options, scans: "ScanSet", logs: Logs
 ) -> "Callable[[Moment], Opinion] | None":
-    """What is thought, after each scan, of the last pose of a trajectory, if there is one."""
+    """Opinions, after each scan, of the last pose of a trajectory, if there is one."""
     if path is None:
         return None
     import numpy as np

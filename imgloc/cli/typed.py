@@ -12,7 +12,7 @@ _WORDS = (str, Path, list[str], list[Path])
 
 
 class _AsTyped:
-    """What a parameter makes of the words that were typed: these words."""
+    """Makes of the words that were typed for a parameter these words."""
 
     def __init__(self, make: Callable[[], Any]) -> None:
         self.make = make

@@ -1,1 +1,1 @@
-"""What the algorithms see: surface points, fields, visibility and ray distances."""
+"""Seen by the algorithms: surface points, fields, visibility and ray distances."""

@@ -75,7 +75,7 @@ def check_budget(need: int, budget: int | None, what: str, hint: str) -> None:
 
 
 def surface_count(grid: OccupancyGrid) -> int:
-    """How many surface points a map has at most: its edges between occupied and free cells.
+    """Most surface points that a map has: its edges between occupied and free cells.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def features_bytes(
 
 
 def ray_distances_bytes(shape: tuple[int, int], n_psi: int) -> int:
-    """Of the stack of :func:`imgloc.features.raydistance.ray_distances`.
+    """Bytes for the stack of :func:`imgloc.features.raydistance.ray_distances`.
 
     Examples
     --------

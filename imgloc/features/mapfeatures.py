@@ -120,7 +120,7 @@ class MapFeatures:
 
     @property
     def factor(self) -> int:
-        """Cells of the map along a cell of the lattice of poses."""
+        """Cells of the map along a cell in the lattice of poses."""
         return max(1, round(self.cell / self.grid.resolution))
 
     @cached_property

@@ -125,7 +125,7 @@ def evenly(count: int, n: int) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What a search sees of a scan: one reading for each place that the scan saw."""
+    """A scan as a search sees it: one reading for each place that the scan saw."""
 
     ranges: FloatArray  #: (N,) metres
     angles: FloatArray  #: (N,) radians, sensor frame, ascending

@@ -45,7 +45,7 @@ _ORPHANED = 3600.0  # seconds
 
 
 class CacheInfo(NamedTuple):
-    """What a folder of the cache holds, and how much it may: bytes."""
+    """Bytes that a folder of the cache holds, and that it may hold."""
 
     entries: int
     bytes: int

@@ -1,4 +1,4 @@
-"""What was calibrated for a map, in a JSON file beside it: its methods, scale, walls and faces.
+"""Calibrations of a map, in a JSON file beside it: of its methods, scale, walls and faces.
 
 The file says for which cells it was made: a map that has been redrawn since is another map, and
 what was fitted on the old one is not used.
@@ -141,7 +141,7 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
 
 
 def _made(key: str, kind: Any, values: Mapping[str, Any]) -> Any:
-    """What is at a key of the file; a value out of its range is named as the file has it."""
+    """The value at a key of the file; a value out of its range is named as the file has it."""
     try:
         return kind(**values)
     except ConfigError as e:
@@ -149,5 +149,5 @@ def _made(key: str, kind: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _content(file: Path) -> Any:
-    """What a file says; else `_UNUSABLE`."""
+    """The contents of a file; else `_UNUSABLE`."""
     return read_json(file, _KIND, limit=_MOST, what="calibration", version=_FORMAT, strict=True)

@@ -1,4 +1,4 @@
-"""What the files of a map or of scans hold, as a hash: the same contents are the same map."""
+"""Hashes of files, of a map or scans: the same contents are the same map."""
 
 import contextlib
 import hashlib

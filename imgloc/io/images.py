@@ -89,7 +89,7 @@ def read_image(
 
 
 class ImageSize(NamedTuple):
-    """What the header of an image says: pixels, bytes of the file, whether it is only grey."""
+    """The header of an image: pixels, bytes of the file, whether it is only grey."""
 
     width: int
     height: int

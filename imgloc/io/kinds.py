@@ -1,4 +1,4 @@
-"""What a file holds before it is read: kinds of lines, or topics with their types."""
+"""The contents of a file before it is read: kinds of lines, or topics with their types."""
 
 from collections import Counter
 from dataclasses import dataclass

@@ -84,7 +84,7 @@ class MapWarning(NamedTuple):
 
 @dataclass(frozen=True)
 class MapReport:
-    """What :func:`check_map` found."""
+    """The findings of :func:`check_map`."""
 
     path: str  #: the file asked about
     image: str  #: the image it leads to

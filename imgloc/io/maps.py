@@ -83,7 +83,7 @@ _GREY, _COLOURED, _TEXT, _TABLES = 7, 26, 4, 6 << 20
 
 @dataclass(frozen=True)
 class MapSettings:
-    """How an image is to be read as a map: its YAML, overridden by options, with defaults."""
+    """Settings to read an image as a map: its YAML, overridden by options, with defaults."""
 
     image: Path
     resolution: float
@@ -237,7 +237,7 @@ _MUCH, _PEAK = 200, 10  # one cell in so many; so many times as often as the gre
 
 
 def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid) -> int:
-    """How many cells of the grey that map_saver writes for unknown are read as free, if many are.
+    """Cells of map_saver's grey for unknown that are read as free, counted if many are.
 
     Grey 205 is an occupancy of 0.196, just above map_saver's own free_thresh.
     """
@@ -271,7 +271,7 @@ def load_bytes(size: ImageSize) -> int:
 
 
 def reading_of(path: Path, reading: Reading) -> Reading:
-    """How one of several maps is to be read: what a YAML says of its frame, it knows best."""
+    """Settings by which one of several maps is read: its YAML, if any, knows its frame best."""
     out = reading.copy()
     if path.suffix.lower() in YAML_ENDINGS:
         out.pop("resolution", None)
@@ -304,7 +304,7 @@ DRAWN = (
 
 
 def looks_drawn(grid: OccupancyGrid) -> bool:
-    """Whether a map is drawn on paper: nothing is unknown but the edges of lines, the margin free.
+    """True of a map drawn on paper: nothing is unknown but the edges of lines, the margin free.
 
     Examples
     --------
@@ -441,7 +441,7 @@ def resolve_settings(path: PathLike, **reading: "Unpack[Reading]") -> MapSetting
 
 
 def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool) -> MapSettings:
-    """What a YAML says, overridden by what is given, with defaults; a `bare` image has none."""
+    """The contents of a YAML under what is given, with defaults; a `bare` image has none."""
     used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
     for key, expected in _NEEDED.items():
         if key not in used:

@@ -66,7 +66,7 @@ _KEYS = frozenset(key for key, _, _ in _CHECKS)
 
 @dataclass(frozen=True)
 class MapYaml:
-    """What a map's YAML says; None where it says nothing."""
+    """The contents of a map's YAML; None for a key that it has not."""
 
     path: Path
     image: Path  #: relative to the YAML's folder

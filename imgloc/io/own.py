@@ -40,7 +40,7 @@ _NAMES = {
 
 
 class _WrongError(ValueError):
-    """What is wrong, and where: names and places from the outside in."""
+    """A fault and its place: names and places from the outside in."""
 
     def __init__(self, what: str) -> None:
         super().__init__(what)
@@ -204,12 +204,12 @@ def _is(value: Any, kind: Any) -> bool:
 
 
 def _told(value: Any, kind: Any) -> str:
-    """What was got, on one line, and what was expected."""
+    """The value that was got, on one line, and what was expected."""
     return f"got {reprlib.repr(value)}, expected {_named(kind)}"
 
 
 def _named(kind: Any) -> str:
-    """What a kind is called."""
+    """The name of a kind."""
     if isinstance(kind, tuple):
         return " or ".join(map(_named, kind))
     if isinstance(kind, frozenset):

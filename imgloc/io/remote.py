@@ -111,7 +111,7 @@ def _fetch(address: str, target: Path, error: type[ImglocError]) -> None:
 
 
 def _limits(address: str) -> dict[str, Any]:
-    """How long a server may be silent, for fsspec; what it has is read from the first byte on."""
+    """Seconds of silence of a server, for fsspec; what it has is read from the first byte on."""
     if not address.startswith("http"):
         return {}
     from aiohttp import ClientTimeout

@@ -125,7 +125,7 @@ def load_scans(
 def scans_size(
     path: PathLike, *, topic: str | None = None, height: Height | None = None
 ) -> ScansSize:
-    """How much :func:`load_scans` would load, at most; errors are those that headers show."""
+    """Upper bounds of what :func:`load_scans` would load; errors are those that headers show."""
     return _kind(path, topic).size(path, Logs(topic, height=height))
 
 
@@ -260,7 +260,7 @@ _CONVERTED = {
 
 
 def format_of(path: PathLike) -> str:
-    """What the format of a file is called: by the ending of its name, else by how it begins."""
+    """Name of the format of a file: by the ending of its name, else by how it begins."""
     return _NAMES[_kind_of(path)]
 
 

@@ -84,7 +84,7 @@ _POINTS = 2500  # surface points of a map that are refined and judged, about
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What is used of one map, in its grid frame: its straight walls. Furniture moves."""
+    """The part of one map that is used, in its grid frame: its straight walls. Furniture moves."""
 
     grid: OccupancyGrid
     xy: FloatArray  #: (N, 2) surface points, metres
@@ -310,7 +310,7 @@ class Bend:
     moved: FloatArray  #: (P, 3) how they are moved and turned on `a`: metres, metres, radians
 
     def shift(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How points (N, 2) of `b`, grid frame, are moved on `a`: (N, 2) m, and turned (N,) rad."""
+        """Moves of points (N, 2) of `b`, grid frame, on `a`: (N, 2) m, and turned (N,) rad."""
         if len(self.at) == 0:
             return np.zeros((len(xy), 2)), np.zeros(len(xy))
         spread = _REACH / self.pose[3]
@@ -391,7 +391,7 @@ def _springs(cells: IntArray, there: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well two maps agree where one lies on the other: metres of straight wall, m2."""
+    """Agreement of two maps where one lies on the other: metres of straight wall, m2."""
 
     hit: float  #: of wall that both have
     missed: float  #: of wall that only one has, where the other saw free space or solid wall
@@ -424,7 +424,7 @@ class Agreement:
 
 
 def agreement(a: Side, b: Side, bend: Bend) -> Agreement:
-    """How well two maps agree if one is put on the other."""
+    """Agreement of two maps if one is put on the other."""
     theta, scale, thicker = bend.pose[2:].tolist()
     straight = _rigid(bend.pose)
     hit = missed = 0.0
@@ -549,7 +549,7 @@ def align_scans(pairs: Sequence[tuple[Localization, Localization]]) -> ScanAlign
 
 
 def _apart(T: Pose2D, there: FloatArray, here: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far poses (N, 3) that a transform moves are from others: (N,) metres, (N,) radians."""
+    """Distances of poses (N, 3) that a transform moves from others: (N,) metres, (N,) radians."""
     moved = transform_poses(T, here)
     return np.hypot(*(moved - there)[:, :2].T), np.abs(wrap(moved[:, 2] - there[:, 2]))
 
@@ -557,7 +557,7 @@ def _apart(T: Pose2D, there: FloatArray, here: FloatArray) -> tuple[FloatArray, 
 def _voting(
     T: Pose2D, there: FloatArray, here: FloatArray, mass: FloatArray, scan: IntArray
 ) -> IntArray:
-    """Of each scan the heaviest of its votes that agree with a transform, if one does."""
+    """The heaviest vote of each scan among those that agree with a transform, if one does."""
     away, turn = _apart(T, there, here)
     (good,) = np.nonzero((away < _VOTE[0]) & (turn < _VOTE[1]))
     good = good[np.argsort(-mass[good], kind="stable")]
@@ -778,7 +778,7 @@ def corners_of(grid: OccupancyGrid) -> FloatArray:
 
 
 def differences(found: Alignment, scans: ScanAlignment) -> dict[str, Any]:
-    """How far apart walls and scans put `b`: metres, radians; None without both.
+    """Distance between where walls and scans put `b`: metres, radians; None without both.
 
     `walls_apart` and `walls_turned` are those of the middle of the scans' poses and of their
     headings, carried over as :meth:`Alignment.move` does: each scan has an error of its own.

@@ -64,7 +64,7 @@ Counts = npt.NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Seen:
-    """What scans say about each cell of a map: how many, and from how many places or times."""
+    """Counts for each cell of a map: of scans, and from how many places or times."""
 
     passed: Counts  #: (H, W) scans that see it free, with all cells around it
     passed_from: Counts  #: (H, W) places of these
@@ -299,7 +299,7 @@ def _looks(scans: Sequence[LaserScan], poses: FloatArray) -> list[list[int]]:
 def _one(
     scan: LaserScan, pose: FloatArray, shape: tuple[int, ...], cell: float
 ) -> tuple[tuple[slice, slice], BoolArray, BoolArray, IntArray]:
-    """What one scan says: a window of the map, cells there that are free, cells of endpoints.
+    """The evidence of one scan: a window of the map, cells there that are free, cells of endpoints.
 
     The free cells come twice: all, and those that have only free cells around them.
     """

@@ -1,4 +1,4 @@
-"""How well and at what cost a method locates scans whose poses are known: `evaluate`.
+"""Quality and cost of a method that locates scans whose poses are known: `evaluate`.
 
 >>> from imgloc.options import Sensor
 >>> from imgloc.simulation.scans import simulate
@@ -266,7 +266,7 @@ def evaluate(
 
 
 def headings(options: Options) -> int:
-    """Number of headings of the lattice in which cells of poses are compared."""
+    """Number of headings in the lattice whose cells are compared."""
     step = np.deg2rad(_FUSED_STEP_DEG) if options.theta_step is None else options.theta_step
     return len(uniform_thetas(float(step)))
 
@@ -401,7 +401,7 @@ def summarise(
 
 
 def right(trial: Trial, tolerance: Tolerance, first: int) -> bool:
-    """Whether one of the `first` hypotheses is nearer than the tolerance to the true pose."""
+    """True if one of the `first` hypotheses is nearer than the tolerance to the true pose."""
     errors = trial.errors[:first]
     return bool(np.any((errors[:, 0] < tolerance.position) & (errors[:, 1] < tolerance.heading)))
 

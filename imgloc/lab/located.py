@@ -57,7 +57,7 @@ def open_some(
 
 
 def hints_of(run: Locating, located: Sequence[Located]) -> list[str]:
-    """What keeps scans that were located like those of a run from a sure pose."""
+    """Causes that keep scans, located like those of a run, from a sure pose."""
     said = [(one.of.verdict, one.of.evidence) for one in located]
     found = run.doubts(ScanSet(tuple(one.scan for one in located)), said)
     return [hint.said for hint in found if hint.found]  # others lead to `imgloc map changes`

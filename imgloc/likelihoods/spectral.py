@@ -178,7 +178,7 @@ def spectral_stack(
 
 
 def needs_double(image: npt.NDArray[np.generic], offsets: IntArray) -> bool:
-    """Whether exact sums of the scans' offsets (K, N, 2) over the image need double precision."""
+    """True if exact sums of the scans' offsets (K, N, 2) over the image need double precision."""
     keys = (offsets[..., 0] << 32) + offsets[..., 1]  # readings may share cells
     norms = (float(np.linalg.norm(np.unique(key, return_counts=True)[1])) for key in keys)
     # np.linalg.norm would wake the threads of a BLAS.

@@ -1,4 +1,4 @@
-"""What clients have sent and will ask about again: at most so many.
+"""Things that clients have sent and will ask about again: at most so many.
 
 Each has an id that nobody can guess, so that it belongs to the client that sent it. Of the client
 that has sent most, what was not used for longest makes room.

@@ -1,4 +1,4 @@
-"""What was found as messages of ROS 2: poses, places, markers, diagnostics."""
+"""Answers as messages of ROS 2: poses, places, markers, diagnostics."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What a service counts, as Prometheus reads it."""
+"""Counters of a service, as Prometheus reads them."""
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 

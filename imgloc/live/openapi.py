@@ -1,4 +1,4 @@
-"""What the service answers, as data: parameters that it checks, and its OpenAPI 3.1 document."""
+"""The answers of the service, as data: parameters that it checks, and its OpenAPI 3.1 document."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -195,7 +195,7 @@ PROBES = "probes"  #: the lane of those that are answered also where there is no
 
 @dataclass(frozen=True)
 class Operation:
-    """What one request does: a row of the table of routes."""
+    """One kind of request: a row of the table of routes."""
 
     method: str
     path: str

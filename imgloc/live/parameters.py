@@ -53,7 +53,7 @@ def option(kind: Any, field: str, **changed: Any) -> Declared:
 
 
 def schema_of(one: Declared) -> dict[str, Any]:
-    """What a value may be, as a JSON schema; in a query numbers of an array have commas between."""
+    """Allowed values, as a JSON schema; in a query numbers of an array have commas between."""
     kind, limit = one.kind, one.limit
     if one.option is not None and one.option.parse is pose:
         place = Place if limit is None else Annotated[float, limit]

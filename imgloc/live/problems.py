@@ -1,4 +1,4 @@
-"""What a service answers when it does not answer: problem documents (RFC 9457).
+"""Answers of a service that has no other: problem documents (RFC 9457).
 
 >>> from imgloc.errors import MapError
 >>> problem_of(MapError("office.yaml: resolution: missing")).document

@@ -167,7 +167,7 @@ def scans_of(
 
 
 def marked_bytes(scans: ScanSet) -> int:
-    """How long a body that marks scans may be: :func:`marked_of`."""
+    """Bytes that a body that marks scans may have: :func:`marked_of`."""
     return 200 + 200 * len(scans)
 
 
@@ -229,7 +229,7 @@ def _scan_of(body: bytes) -> ScanSet:
 
 
 def taken(scan: LaserScan, how: Mapping[str, Any]) -> LaserScan:
-    """The scan as the parameters say that it was taken: its reach, and how the sensor sits."""
+    """The scan as it was taken by the parameters: its reach, and how the sensor sits."""
     files = ScanFiles(
         scale=how.get("range_scale") or 1.0, range_max=how.get("range_max"),
         flipped=bool(how.get("flipped")), mount=how.get("sensor"),
@@ -267,7 +267,7 @@ def map_of(
 
 
 def _called(files: Sequence[str]) -> str:
-    r"""What a map of some files is called: as its file; one that is called map as its folder.
+    r"""The name of a map of some files: that of its file; one that is called map as its folder.
 
     >>> _called(["map.yaml", "hall.png"]), _called(["c:\\lab\\map.yaml", "map.png"]), _called([""])
     ('hall', 'lab', 'map')

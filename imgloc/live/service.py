@@ -86,7 +86,7 @@ class ScansHeld:
     taken: Mapping[str, Any] = field(default_factory=dict)
 
     def about(self, id_: str) -> dict[str, Any]:
-        """What is in it."""
+        """Its contents, in short."""
         s = self.scans
         readings = max(len(scan.ranges) for scan in s.scans)
         known = {"poses": s.poses, "odom": s.odom, "stamps": s.stamps}
@@ -102,7 +102,7 @@ OPENED = "0" * 32  #: id of the scans that a service is given to begin with
 
 @dataclass(frozen=True)
 class Begun:
-    """What a service is given to begin with."""
+    """Given to a service to begin with."""
 
     #: paths of the maps, by name, as the command line has them
     paths: Mapping[str, str] = field(default_factory=dict)
@@ -122,7 +122,7 @@ class Ask:
     bounds: Bounds
 
     async def run(self, work: Callable[[], Any], lane: str = "") -> Any:
-        """What some work returns, by default in the lane of the route."""
+        """Run some work, by default in the lane of the route, and return its result."""
         there, seconds = self.lanes[lane or self.route.lane], getattr(self.bounds, self.route.time)
         return await there.run(work, seconds, self.request.receive, self.client)
 
@@ -293,7 +293,7 @@ class Service:
     def _endpoint(
         self, by_method: Mapping[str, tuple[Operation, Endpoint]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """What Starlette calls: the query is checked, and what a method does is called with it."""
+        """A function for Starlette: it checks the query, and calls what a method does with it."""
 
         async def run(request: Request) -> Response:
             method = "get" if request.method == "HEAD" else request.method.lower()
@@ -364,7 +364,7 @@ class Service:
         return name, self.core.site(name)
 
     def _describe(self, name: str, site: Site) -> dict[str, Any]:
-        """What there is to say of a map."""
+        """A map in short."""
         features, label = site.features, None
         if features not in self._about:
             grid = features.grid
@@ -556,7 +556,7 @@ class Service:
         return _rows([await row(k) for k in chosen])
 
     async def _doubts(self, ask: Ask) -> Response:
-        """What keeps a scan from fitting, as the command says it; its options in backquotes."""
+        """Causes of a scan that does not fit, as the command has them; options in backquotes."""
         site, values = self._site(ask.values["map"])[1], ask.values
         chosen, (scans, _), prior = await self._asked(ask, site)
 

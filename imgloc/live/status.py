@@ -1,4 +1,4 @@
-"""What a robot is told of where it is: one JSON object, and how well that is."""
+"""News for a robot of where it is: one JSON object, and how well that is."""
 
 import math
 from collections.abc import Sequence

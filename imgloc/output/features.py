@@ -217,7 +217,7 @@ def draw_visibility(
 
 
 def _strongest(strength: FloatArray, apart: int) -> tuple[IntArray, IntArray]:
-    """Row and column of the strongest cell of each block of `apart` cells a side."""
+    """Row and column of the strongest cell in each block, `apart` cells a side."""
     height, width = (-(-n // apart) for n in strength.shape)
     short = np.array((height, width)) * apart - strength.shape
     padded = np.pad(strength, ((0, short[0]), (0, short[1])))

@@ -217,7 +217,7 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
 
 
 def histogram(values: Sequence[float], low: float, high: float) -> list[tuple[float, float, int]]:
-    """Counts of values in bars of equal width of their logarithm: (from, to, count).
+    """Counts of values in bars as wide as each other in their logarithm: (from, to, count).
 
     What is below `low` or above `high` is in the first or last bar; bars at the ends without any
     are left out.

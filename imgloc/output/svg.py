@@ -117,7 +117,7 @@ def path(lines: FloatArray) -> str:
 
 
 def marks(kind: str, at: FloatArray) -> str:
-    """The ``d`` of a path with the shape of a kind at each of the points (N, 2), pixels."""
+    """The ``d`` of a path that has the shape of a kind at each point (N, 2), pixels."""
     return "".join(f"M{number(x)} {number(y)}{SHAPES[kind]}" for x, y in at.tolist())
 
 

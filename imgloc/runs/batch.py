@@ -54,7 +54,7 @@ _WARNED = 20  # different warnings that a run passes on
 
 @dataclass
 class BatchSummary:
-    """What the rows of a batch come to."""
+    """The rows of a batch, counted."""
 
     items: int = 0
     statuses: dict[str, int] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class BatchSummary:
         return self.items - self.statuses.get("ok", 0)
 
     def as_row(self) -> Row:
-        """What ``summary.json`` has of it."""
+        """The row of ``summary.json``."""
         return {name: value for name, value in vars(self).items() if name != "_files"}
 
     def add(self, row: Row) -> None:
@@ -328,7 +328,7 @@ def work(item: Item, job: Job, means: Means | None = None) -> tuple[Row, dict[st
 
 
 def _keep(answer: Answer, cost: dict[str, Any]) -> Row:
-    """What a row has of an answer; what two runs do not share goes to its cost."""
+    """The part of an answer that a row has; what two runs do not share goes to its cost."""
     row = {**answer.row, **answer.beside}
     for name in ("parameters", "timings_ms"):
         row.pop(name, None)

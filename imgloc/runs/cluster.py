@@ -117,7 +117,7 @@ def cluster(
 
 
 class Machine(NamedTuple):
-    """What a worker of the cluster has."""
+    """The machine of a worker of the cluster."""
 
     host: str
     threads: int

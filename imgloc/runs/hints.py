@@ -1,4 +1,4 @@
-"""What to look at after a batch: of scans that fit no map a few are looked at again.
+"""Hints after a batch: of scans that fit no map a few are looked at again.
 
 A file of scans that fits one of its maps is as it should be, though it fits none of the others.
 """

@@ -1,4 +1,4 @@
-"""What is done with a map and its scans: a job, the same for one map and for a thousand.
+"""A job: work with a map and its scans, the same for one map and for a thousand.
 
 A job is a frozen dataclass of its options. It opens an item, which reads and checks all that it
 needs, and gives an answer at a time. Who takes them is a *sink*: a command prints them as they
@@ -45,7 +45,7 @@ class Item:
 
     @property
     def id(self) -> tuple[str, str | None]:
-        """What tells it from all others of a batch."""
+        """Its key among all others of a batch."""
         return self.map, self.scans
 
     @property
@@ -78,7 +78,7 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Job(Checked, ABC):
-    """What is done with each item, and everything that decides its rows."""
+    """Work that is done with each item, and everything that decides its rows."""
 
     name: ClassVar[str]
     with_scans: ClassVar[bool] = True  #: whether it needs scans
@@ -137,7 +137,7 @@ def make_job(name: str = "localize", **options: Any) -> Job:
 
 
 def compared(poses: Any, truth: Pose2D | None, tolerance: Tolerance) -> dict[str, Any]:
-    """How far the first pose (N, 3) of an answer is from the true one; nothing if it is unknown."""
+    """Errors of the first pose (N, 3) of an answer; nothing if the true one is unknown."""
     if truth is None:
         return {}
     errors = pose_errors(poses[:1], truth)

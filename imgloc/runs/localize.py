@@ -119,11 +119,11 @@ class Locating:
 
     @property
     def map_name(self) -> str:
-        """What people call the map."""
+        """The usual name of the map."""
         return map_name(self.path)
 
     def title(self, index: int) -> str:
-        """What a picture of the answer to a scan is called: map, file and scan."""
+        """Title of a picture of the answer to a scan: map, file and scan."""
         return f"{self.map_name}: {Path(self.taken.name).name}, scan {index}"
 
     def some(self, which: Sequence[int]) -> "Locating":
@@ -137,13 +137,13 @@ class Locating:
         return replace(self, taken=replace(taken, scans=scans))
 
     def doubts(self, scans: ScanSet, said: Said) -> list[Cause]:
-        """What may be wrong with scans of which this was `said`."""
+        """Likely faults of scans of which this was `said`."""
         if not self._tries:
             return []
         return doubts(self.features, scans, said, self.options, self._given)
 
     def mirrored(self, scans: ScanSet, said: Said) -> Cause | None:
-        """Whether scans of which this was `said`, and which do not fit, do so if mirrored."""
+        """The cause if scans of which this was `said`, and which do not fit, do so mirrored."""
         if not self._tries:
             return None
         return mirrored(self.features, scans, said, self.options, self._given)
@@ -155,7 +155,7 @@ class Locating:
 
     @property
     def _given(self) -> Given:
-        """What was stated about the scans and the map."""
+        """Statements about the scans and the map."""
         return self.job.scans.given.beside(self.path, self.features.grid, self.job.drawn)
 
 

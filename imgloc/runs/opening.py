@@ -1,4 +1,4 @@
-"""What a job reads, alike for one map and for many: maps and scans, within the memory.
+"""Input of a job, alike for one map and for many: maps and scans, within the memory.
 
 A :class:`Desk` is what a process works at: its threads and memory, and the maps that it has
 prepared already.
@@ -63,7 +63,7 @@ _KEPT = 0.5  # share of a worker's memory that prepared maps may take
 
 @dataclass(frozen=True)
 class MapFiles(Checked):
-    """How the images of maps are read."""
+    """The way in which images of maps are read."""
 
     reading: Reading = field(default_factory=lambda: Reading())  #: as of :func:`imgloc.load_map`
     allow_lossy: bool = False
@@ -73,7 +73,7 @@ class MapFiles(Checked):
 
 @dataclass(frozen=True)
 class ScanFiles(Logs):
-    """How files of scans are read, and how their sensor sits on the robot."""
+    """The way in which files of scans are read, and the place of their sensor on the robot."""
 
     chosen: Chosen = field(default_factory=Chosen)  #: which scans of a file are looked at
     flipped: bool = False  #: the sensor is upside down
@@ -130,7 +130,7 @@ class Taken:
 
 @dataclass
 class Desk:
-    """What a process works with: threads, memory, and the maps that it has prepared already.
+    """The desk of a process: threads, memory, and the maps that it has prepared already.
 
     No answer depends on it.
     """
@@ -148,7 +148,7 @@ class Desk:
     _last: dict[str, tuple[Hashable, Any]] = field(default_factory=dict)
 
     def once(self, kind: str, key: Hashable, make: Callable[[], T]) -> T:
-        """What was made last of a kind, if it was by the same key; else make it."""
+        """The last thing that was made of a kind, if it was by the same key; else make it."""
         if kind not in self._last or self._last[kind][0] != key:
             self._last.pop(kind, None)  # two of them need not fit into the memory
             self._last[kind] = key, make()
@@ -314,7 +314,7 @@ Drawing = Callable[..., Mapping[str, bytes]]
 
 @dataclass(frozen=True)
 class Means:
-    """What workers have to work with; no answer depends on it."""
+    """Means of workers; no answer depends on them."""
 
     memory_budget: int | None = None  #: bytes; by default half of what is available
     cache: Path | None = None  #: folder where prepared maps are kept, nowhere by default
@@ -331,7 +331,7 @@ def _desk_of(memory_budget: int | None, cache: Path | None) -> Desk:
 
 
 def _key(path: Path, maps: MapFiles) -> Hashable:
-    """What tells a map: what is in its files, and how they are read."""
+    """The key of a map: the contents of its files, and how they are read."""
     return path, content_hash(files_of(path)), repr(sorted(maps.reading.items())), maps.allow_lossy
 
 
@@ -361,7 +361,7 @@ def held_bytes(scans: Sequence[LaserScan]) -> int:
 
 
 def name_of(path: Path) -> str:
-    """What scans are called in messages: their file, or standard input."""
+    """The name of scans in messages: their file, or standard input."""
     return "standard input" if str(path) == "-" else display(path)
 
 

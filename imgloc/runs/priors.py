@@ -1,4 +1,4 @@
-"""What is known of a pose before the scan is looked at, for scripts: ``Options(prior=...)``.
+"""Knowledge of a pose before the scan is looked at, for scripts: ``Options(prior=...)``.
 
 >>> wall = np.pad(np.zeros((8, 9), bool), 1, constant_values=True)
 >>> grid = OccupancyGrid(wall, ~wall, 0.5)

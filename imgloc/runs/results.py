@@ -239,7 +239,7 @@ class Results:
 
 
 def read_run(folder: PathLike) -> Row:
-    """What decided the rows of a folder; OutputError if it is damaged.
+    """The run that decided the rows of a folder; OutputError if it is damaged.
 
     ConfigError if the folder is not one of a batch.
     """
@@ -252,7 +252,7 @@ def read_run(folder: PathLike) -> Row:
 
 
 def read_summary(folder: PathLike) -> Row:
-    """What the last run that came to its end said of the rows; empty if none has.
+    """The summary by the last run that came to its end; empty if none has.
 
     OutputError if it is not what a batch has written.
     """
@@ -307,7 +307,7 @@ def _pictures(folder: Path) -> Path:
 
 
 def _beginning(line: bytes, k: int, name: str, job: str) -> object:
-    """What tells the item of a row from others, without parsing a row as it was written."""
+    """A key of the item of a row, without parsing a row as it was written."""
     head, status, _ = line.partition(b', "status": ')  # in a text the quote would be escaped
     return head if status and head.startswith(_BEGINNING) else id_of(_parse(line, k, name, job))
 

@@ -168,7 +168,7 @@ class Choosing:
             )
 
     def doubts(self, answers: Sequence[Named]) -> list[Cause]:
-        """What may be wrong if most of the scans have no map, tried in the map that fits most.
+        """Causes if most of the scans have no map, tried in the map that fits most.
 
         `which` allows for no error that all readings share, because every map would gain by one;
         `localize` does, and may be sure of a scan that has no map here.
@@ -184,7 +184,7 @@ class Choosing:
         return []
 
     def _doubts(self, name: str, scans: ScanSet) -> Cause | None:
-        """What keeps scans from being of one of the maps, if something was found."""
+        """Causes that keep scans from being of one of the maps, if any was found."""
         features = self.features(self.files[name])
         prior = prior_of(self.job.known, features.grid)
         options = Options(

@@ -255,7 +255,7 @@ def refine_grid(
 def fine_factor(
     grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
 ) -> int:
-    """How many cells of :func:`refine_grid` lie along a cell of the map."""
+    """Number of cells of :func:`refine_grid` along a cell of the map."""
     most = int((max_cells / grid.occupied.size) ** 0.5)
     return max(1, min(round(grid.resolution / resolution), most))
 

@@ -187,7 +187,7 @@ def _recorded(path: Path, how: "ScanFiles", desk: "Desk") -> "tuple[ScanSet, dic
 def _doubts(
     item: "Item", maps: "MapFiles", how: "ScanFiles", cell: float, desk: "Desk"
 ) -> list[str]:
-    """What may keep recorded scans from being found: sentences, tried on a few of them."""
+    """Causes for which recorded scans are not found: sentences, tried on a few of them."""
     from imgloc.answers.logcheck import located
     from imgloc.answers.truth import NOT_TRUE, poses_fit
     from imgloc.runs.localize import Localize
