@@ -232,14 +232,6 @@ def test_a_scan_that_several_files_have_counts_once(logs):
     assert aged("logs/b.npz", "done", "done") == once
 
 
-def test_a_log_beside_a_batch_counts_at_its_own_poses(logs):
-    both = aged("logs/a.npz", "logs/b.npz")
-    Path("b.npz").write_bytes(Path("logs/b.npz").read_bytes())
-    Path("logs/b.npz").unlink()
-    batch()
-    assert aged("b.npz", "done") == both
-
-
 def test_scans_of_a_batch_are_read_as_it_has_read_them(logs, moved):
     upside_down = [scan.flipped for scan in scanned(moved[1], POSES)]
     save_scans("logs/a.npz", ScanSet(tuple(upside_down[:4])), force=True)
@@ -252,11 +244,6 @@ def test_scans_of_a_batch_are_read_as_it_has_read_them(logs, moved):
     assert found["scans"] >= 5
     wrong = call("map", "changes", "old.yaml", "done", "--flipped")
     assert (wrong.code, "expected no option for how scans are read" in wrong.err) == (2, True)
-
-
-def test_the_help_says_which_scans_count_once():
-    text = " ".join(call("map", "changes", "--help").out.split())
-    assert "the same stamp, ranges and angles as another" in text
 
 
 def test_a_batch_that_does_not_fit_is_refused_by_one_error(logs, moved):
