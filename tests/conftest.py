@@ -25,9 +25,7 @@ settings.load_profile("same")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Let `--benchmark-only` say enough (benchmarks are off in other runs); keep bytecode."""
-    if config.getoption("benchmark_only", False):
-        config.option.benchmark_enable = True
+    """Keep bytecode where the environment would have none."""
     if sys.dont_write_bytecode and config.pluginmanager.has_plugin("cacheprovider"):
         # Not beside the source, then: without any each command of a test compiles all of imgloc.
         folder = str(config.rootpath / config.getini("cache_dir") / "bytecode")

@@ -221,22 +221,6 @@ def test_a_scan_without_readings_is_invalid(folder: Path, tmp_path: Path) -> Non
     assert line.split() == ["0", "invalid", "-", "-", "too", "few", "readings"]
 
 
-def test_too_little_memory_is_no_fault_of_the_maps(folder: Path) -> None:
-    words = (folder / "scans.npz", "--memory-budget", "8M")
-    run = call("which", folder / "floors", *words).ends(2, out="")
-    assert run.code == call("localize", folder / "floors" / "curved.yaml", *words).code
-    assert run.err.count("the budget is 8 MiB") == 2
-
-
-def test_a_sensor_upside_down(folder: Path, tmp_path: Path) -> None:
-    data = dict(np.load(folder / "scans.npz"))
-    data["angles"] = -data["angles"]
-    np.savez(tmp_path / "flipped.npz", **data)
-    words = ("which", folder / "floors")
-    told = call(*words, tmp_path / "flipped.npz", "--flipped", "--json").out
-    assert told == call(*words, folder / "scans.npz", "--json").out
-
-
 @pytest.mark.parametrize("where", ["nowhere", "."])
 def test_a_folder_without_maps(where: str, tmp_path: Path, folder: Path) -> None:
     call("which", tmp_path / where, folder / "scans.npz").ends(2, "map", out="")

@@ -8,7 +8,7 @@ from badfiles import BadFile, write_bad_files, yaml_with
 from command import Run, call, spawn
 
 CODES = {"map": 3, "scan": 4}
-REAL = ("half.jpg", "map gone", "scan_bomb.npz", "fifo.npz", "undecodable scan", "undecodable map")
+REAL = ("half.jpg", "undecodable scan")
 DRAWN = ("all_free.png", "all_wall.png")  # to be looked at
 REPORTED = (*DRAWN, "lossy.jpg", "lossy.webp", "too_long_side.png")
 
@@ -43,6 +43,8 @@ def judge(file: BadFile, run: Run, folder: Path) -> list[str]:
         faults.append("something on stdout")
     if run.err.count("\n") != 1 or not run.err.startswith("imgloc: error: "):
         faults.append("not one line of error")
+    if not run.err.strip().isprintable():
+        faults.append("what a terminal would obey")
     if file.expected not in run.err:
         faults.append(f"no {file.expected!r}")
     if list(folder.iterdir()):

@@ -1,12 +1,9 @@
 """`--memory-budget` of the commands: said with -v, refused before anything is loaded or done."""
 
-import json
 import os
 import re
 import shutil
 import struct
-import subprocess
-import sys
 import tracemalloc
 import zlib
 from collections.abc import Callable
@@ -16,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from budgets import check_done, check_refused, words
-from command import MAPS, ROOT, call
+from command import MAPS, call
 
 from imgloc.io.images import image_size
 from imgloc.io.scans import load_scans, scans_size
@@ -186,41 +183,6 @@ def test_no_command_decodes_an_image_over_the_budget(
     assert "the budget is 500 MiB: crop the map, or raise --memory-budget" in run.err
     assert sorted(folder.iterdir()) == before
     call(*words(command, folder), "--memory-budget", "2000M").ends(3, "m.png: damaged PNG data")
-
-
-EACH = """
-import json, os, re, sys
-sys.path.insert(0, sys.argv[1])
-import imgloc.cli.inputs
-from imgloc.cli.app import main
-for words in json.loads(sys.argv[2]):
-    if os.fork():  # each in a process of its own, which begins with a peak of its own
-        os.wait()
-        continue
-    try:
-        main(words)
-    except SystemExit as end:
-        with open("/proc/self/status") as status:
-            print(json.dumps([end.code, int(re.search(r"VmHWM:\\s+(\\d+)", status.read())[1])]))
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(0)
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
-def test_a_refused_command_has_taken_no_memory(sources: Callable[[bytes], Path]) -> None:
-    blank = cv2.imencode(".png", np.full((6000, 6000), 254, np.uint8))[1].tobytes()
-    folder = sources(blank)
-    given = [[*map(str, words(c, folder)), "--memory-budget", "50M"] for c in READERS]
-    done = subprocess.run(
-        [sys.executable, "-c", EACH, ROOT, json.dumps(given)],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    codes, peaks = zip(*map(json.loads, done.stdout.splitlines()), strict=True)
-    assert codes == (2,) * len(READERS)
-    assert done.stderr.count("6000 x 6000 pixels needs") == len(READERS)
-    assert max(peaks) < 140 * 1024  # Python, NumPy and OpenCV; the image would be 200 MiB more
 
 
 def test_headers_are_read_without_the_rest(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command import MAPS, call, rows, untimed
+from command import MAPS, call
 
 from imgloc.cli.inputs import check_target, files_of
 from imgloc.cli.options import find_map
@@ -102,17 +102,3 @@ def test_a_name_is_that_of_a_file_before_that_of_a_bundled_map(
         assert find_map(Path("sub") / name) == Path("sub") / name
     (tmp_path / "curved").touch()
     assert find_map("curved") == Path("curved")
-
-
-def test_bundled_maps_have_names_in_every_command(office: Path) -> None:
-    scan, out = office / "scan.npz", office / "out"
-    named = call("localize", "curved", scan, "--json")
-    assert untimed(named.out) == untimed(call("localize", MAPS / "curved.yaml", scan, "--json").out)
-    assert call("map", "check", "curved").code == 0
-    assert call("map", "show", "curved", "--out", f"{out}.png").code == 0
-    assert call("simulate", "curved", "-n", 1, "--out", f"{out}.npz").code == 0
-    assert call("sample", "curved", scan, "-n", 5, "--out", f"{out}.csv").code == 0
-    words = ("atlas", "curved", "--step", 5, "--headings", 1, "--json", "--workers", 1)
-    assert rows(call(*words, "--out", office / "atlas.png").out)[0]["headings"] == 1
-    run = call("localize", "curvd", scan)
-    assert (run.code, "curvd: no such file" in run.err) == (3, True)

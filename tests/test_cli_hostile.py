@@ -271,7 +271,7 @@ def test_bags_that_want_to_harm_are_one_line(case: Case, tmp_path: Path) -> None
     check(case.name, case.cause, 4, "localize", MAP, path)
 
 
-@pytest.mark.parametrize("name", ["a.bag", "a.mcap", "a.db3", "a", "a.npz", "a.csv", "a.yaml"])
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap", "a.db3", "a"])
 @pytest.mark.parametrize("kind", ["pipe", "endless"])
 def test_what_never_ends_is_not_read(name: str, kind: str, tmp_path: Path) -> None:
     path = tmp_path / name
@@ -335,7 +335,7 @@ def test_all_that_a_bag_unpacks_to_is_counted() -> None:
         assert len(storage_mcap.DECOMPRESSORS["zstd"](data, size)) == size
 
 
-@pytest.mark.parametrize("ending", ["npz", "csv", "jsonl", "json", "log", "yaml"])
+@pytest.mark.parametrize("ending", ["npz", "csv", "jsonl", "log", "yaml"])
 def test_a_scan_of_ten_million_readings_is_none(ending: str, tmp_path: Path) -> None:
     many = 10**7
     content = {
@@ -348,7 +348,7 @@ def test_a_scan_of_ten_million_readings_is_none(ending: str, tmp_path: Path) -> 
     if ending == "npz":
         path.write_bytes(npz(ranges=np.ones((many // 2, 1)), angles=np.zeros(1)))
     else:
-        path.write_bytes(content[ending.replace("json", "jsonl")[:5]])
+        path.write_bytes(content[ending])
     check(path.name, "expected at most", 4, "localize", MAP, path, "--memory-budget", "8G")
 
 

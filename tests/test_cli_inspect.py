@@ -246,13 +246,11 @@ def test_the_map_tells_a_mirrored_image(shared: Path, tmp_path: Path, name: str)
 
 
 UNDISTURBED = {
-    "fr079/scans.npz": [], "fr079_half/scans.npz": ["gap"], "belgioioso/scans.npz": [],
-    "duke_loop5/scans.npz": ["disagree"], "gh25/scans.npz": ["gap"],
+    "fr079/scans.npz": [], "belgioioso/scans.npz": [], "gh25/scans.npz": ["gap"],
     "malaga_campus/scans.npz": ["gap"], "factory_changed/scans.npz": [], "wean/scans.npz": ["gap"],
-    "raw/fr079.log": [], "raw/belgioioso.log": [], "raw/duke_loop5.dpslam.log": ["disagree"],
-    "olin_pen/left_side.bag": [], "olin_pen/middle.bag": [],
-    "olin_mac/bags/macfirst_floor_take_2": [], "guardian_crob/guardian_3.npz": [],
-    "guardian_crob/guardian_controller_2.npz": [], "jarvis_inesc/circular.npz": [],
+    "raw/fr079.log": [], "raw/duke_loop5.dpslam.log": ["disagree"], "olin_pen/left_side.bag": [],
+    "olin_mac/bags/macfirst_floor_take_2": [], "guardian_crob/guardian_controller_2.npz": [],
+    "jarvis_inesc/circular.npz": [],
 }  # fmt: skip
 
 
@@ -267,9 +265,7 @@ def test_only_what_is_there_is_found_in_a_log_as_it_was_recorded(shared: Path, n
     assert found == UNDISTURBED[name]
 
 
-@pytest.mark.parametrize(
-    "what", ["", "millimetres", "upside down", "backwards", "stamps swapped"]
-)  # fmt: skip
+@pytest.mark.parametrize("what", ["", "upside down", "backwards"])
 def test_the_command_to_go_on_with_works(shared: Path, tmp_path: Path, what: str) -> None:
     scans, place = recorded(shared, "fr079"), shared / "data" / "fr079" / "map.yaml"
     file = tmp_path / "a log.npz"

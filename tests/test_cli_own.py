@@ -178,16 +178,6 @@ def test_a_row_that_was_edited(folder: Path, edit: dict, said: str) -> None:
             assert call(*use).code == 0
 
 
-def test_a_floor_that_is_null_is_none(folder: Path) -> None:
-    def edit(row: dict) -> None:
-        row["answers"][0]["evidence"]["floor"] = None
-
-    change(folder / "out" / "results.jsonl", edit)
-    for use in (["report", folder / "out"], ["export", folder / "out", "--force"]):
-        assert call(*use).code == 0
-    assert call("batch", *words(folder), "--resume").code == 0
-
-
 def test_a_folder_that_is_no_batch_is_a_slip(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     for use in (["report"], ["export"]):
@@ -201,10 +191,14 @@ def test_a_folder_that_is_not_there_is_a_slip(use: list[str], tmp_path: Path) ->
     given.ends(2, "logs: no such folder, expected a folder of results of 'imgloc batch'")
 
 
-def test_a_missing_cost_is_no_defect(folder: Path) -> None:
-    change(folder / "out" / "results.jsonl", lambda row: row.update(cost={}))
-    for use in ("report", "export"):
-        assert call(use, folder / "out").code == 0
+def test_a_floor_that_is_null_and_a_missing_cost_are_no_defects(folder: Path) -> None:
+    def edit(row: dict) -> None:
+        row["answers"][0]["evidence"]["floor"], row["cost"] = None, {}
+
+    change(folder / "out" / "results.jsonl", edit)
+    for use in (["report", folder / "out"], ["export", folder / "out", "--force"]):
+        assert call(*use).code == 0
+    assert call("batch", *words(folder), "--resume").code == 0
 
 
 @pytest.mark.parametrize(

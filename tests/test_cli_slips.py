@@ -4,13 +4,12 @@ import codecs
 import json
 import logging
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 import pytest
-from command import MAPS, call, rows, spawn
+from command import MAPS, call, rows
 
 from imgloc.errors import ConfigError
 from imgloc.filters.choose import make_filter
@@ -20,10 +19,9 @@ from imgloc.io.cache import cache_limit
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D
-from imgloc.options import Options, Sensor
+from imgloc.model import LaserScan
+from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.runs.opening import ScanFiles
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -131,26 +129,6 @@ def test_ranges_that_repeat_are_no_codes(log: Path, tmp_path: Path) -> None:
     assert load_scans(tmp_path / "said.npz")[0].range_max == 30.0  # who says it, is believed
 
 
-def test_a_sensor_in_centimetres_is_refused(log: Path, tmp_path: Path) -> None:
-    words = ("--sensor", "100,0,0")
-    for run in (
-        call("localize", MAP, log, *words),
-        call("track", MAP, log, *words),
-        call("batch", MAP, log, "--out", tmp_path / "out", *words),
-    ):
-        assert run.code == 2
-        assert "--sensor: got 100,0: 100 m from the robot's base, expected at most 5 m" in run.err
-        assert "centimetres" in run.err
-    for make in (
-        lambda: LaserScan([1.0], [0.0], T_base_laser=Pose2D(100.0, 0.0)),
-        lambda: ScanFiles(mount=Pose2D(100.0, 0.0)),
-        lambda: Sensor(mount=Pose2D(100.0, 0.0)),
-    ):
-        with pytest.raises(ConfigError, match="centimetres"):
-            make()
-    assert call("localize", MAP, log, "--scans-index", 0, "--sensor", "0.3,0,180deg").code == 0
-
-
 def test_a_mount_in_a_json_line_is_where_the_sensor_sits(log: Path, tmp_path: Path) -> None:
     scan = load_scans(log)[0]
     line = {"ranges": scan.ranges.tolist(), "angles": ANGLES.tolist(), "range_max": 30}
@@ -161,40 +139,6 @@ def test_a_mount_in_a_json_line_is_where_the_sensor_sits(log: Path, tmp_path: Pa
         away = np.subtract(*([row[k]["x"], row[k]["y"]] for k in ("pose", "base_pose")))
         assert np.hypot(*away) == pytest.approx(0.3)
         assert call("localize", MAP, path, "--sensor", "0.1,0,0").code == 0
-    for mount, says in (
-        ("front", "mount: got type <U5, expected numbers"),
-        ([0.1, 0.0], "mount: got 2 numbers, expected x, y, theta"),
-        ([0.1, 0.0, None], "mount: got type object"),
-        ([1e999, 0.0, 0.0], "mount[0]: got inf"),
-        ([30, 0, 0], "got 30,0: 30 m from the robot's base"),
-    ):
-        path.write_text(json.dumps(line | {"mount": mount}))
-        run = call("localize", MAP, path)
-        assert (run.code, f"{path}: line 1: " in run.err, says in run.err) == (4, True, True), run
-
-
-def test_where_sensors_sit_and_when_is_kept(tmp_path: Path) -> None:
-    ranges = np.full(9, 2.0)
-    mounts = (Pose2D(0.2, -0.1, 3.0), None, Pose2D(0.0, 0.0))
-    scans = [
-        LaserScan(ranges, ANGLES[:9], 0.1, 9.0, 7.5 + k, mount) for k, mount in enumerate(mounts)
-    ]
-    save_scans(tmp_path / "a.npz", ScanSet(tuple(scans)))
-    got = load_scans(tmp_path / "a.npz")
-    assert tuple(scan.T_base_laser for scan in got.scans) == mounts
-    assert [scan.stamp for scan in got.scans] == [7.5, 8.5, 9.5]
-    bare = replace(scans[1], stamp=np.nan)
-    save_scans(tmp_path / "b.npz", ScanSet((bare,)))
-    with np.load(tmp_path / "b.npz") as arrays:
-        assert set(arrays) == {"ranges", "angles", "range_min", "range_max"}
-    for mount, says in (
-        ([0.0, 1.0], "shape"),
-        ([0.0, np.nan, 0.0], "finite"),
-        ([9.0, 0, 0], "5 m"),
-    ):
-        np.savez(tmp_path / "c.npz", ranges=ranges, angles=ANGLES[:9], mount=mount)
-        run = call("localize", MAP, tmp_path / "c.npz")
-        assert (run.code, says in run.err) == (4, True), run.err
 
 
 def test_odometry_that_starts_late_costs_only_the_scans_before_it(
@@ -253,25 +197,6 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
     assert "is ignored" not in call("localize", image, log, *same).err
     (tmp_path / MAP.name).unlink()
     assert "frame" not in call("localize", image, log, *same[:2], "--scans-index", 0).err
-
-
-@pytest.mark.parametrize("words", [
-    "localize {map} {log} --scans-index 0 --json", "batch {maps} --job check --out {out}",
-])  # fmt: skip
-def test_the_real_command_says_that_a_frame_is_another_one(
-    words: str, log: Path, tmp_path: Path
-) -> None:
-    # In a process of its own: what C libraries write is kept from its standard error.
-    folder = tmp_path / "maps"
-    folder.mkdir()
-    yaml = copy_of_map(folder, origin="[-12.5, -8, 0]").rename(folder / "floor 2.yaml")
-    image, out = yaml.with_name("visibility.png"), tmp_path / "out"
-    places = {"map": image, "log": log, "maps": folder, "out": out}
-    run = spawn(*(w.format_map(places) for w in words.split()), "--resolution", "0.1")
-    said = "floor 2.yaml, which is of this image, is ignored: origin [-12.5, -8, 0] there"
-    several = "{maps}" in words  # of a folder the YAML is taken
-    assert run.code == 0, run
-    assert (said in run.out + run.err) == (not several), run
 
 
 def test_unknown_cells_that_count_as_free_are_said(

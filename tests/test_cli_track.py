@@ -143,7 +143,7 @@ def test_the_errors_against_a_true_trajectory_are_those_of_evo(
 
 @pytest.mark.parametrize(
     ("quaternion", "said"),
-    [("0 0 0 0", "of length 1, not 0"), ("0 0 0 1e308", "of length 1, not 1e+308"),
+    [("0 0 0 0", "of length 1, not 0"),
      ("1e200 0 1e200 1e200", "of length 1, not 1.73e+200"), ("0 nan 0 1", "qw, all finite"),
      ("0 0 1", "expected stamp x y z qx qy qz qw")],
 )  # fmt: skip
@@ -238,11 +238,10 @@ def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried
     "ranges",
     [
         lambda _: np.nan,
-        lambda _: np.inf,
         lambda r: np.linspace(0.09, 0.11, len(r)),
         lambda last: last,
     ],
-    ids=["nan", "inf", "covered", "frozen"],
+    ids=["nan", "covered", "frozen"],
 )
 def test_a_blind_robot_gives_no_pose(
     tmp_path: Path, ranges: Callable[[FloatArray], object], carried: bool

@@ -12,13 +12,12 @@ import pytest
 from command import ROOT
 from test_features_budget import office, peak
 
-from imgloc.features.budget import scans_bytes, simulate_bytes
+from imgloc.features.budget import scans_bytes
 from imgloc.io.images import ImageSize, image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import load_bytes
 from imgloc.io.scans import scans_size
-from imgloc.options import Sensor
-from imgloc.simulation.scans import fine_factor, refine_grid, simulate
+from imgloc.simulation.scans import fine_factor, refine_grid
 
 TABLES = load_bytes(ImageSize(0, 0, 0, grey=True))
 LOADS = """
@@ -63,15 +62,6 @@ def resident() -> Iterator[Callable[..., int]]:
         server.stdin.close()
 
 
-@pytest.mark.parametrize(("rooms", "count"), [(2, 2000), (8, 2)])
-def test_simulating_takes_no_more_than_estimated(rooms: int, count: int) -> None:
-    grid = office(rooms)
-    taken = peak(lambda: simulate(grid, count, 0, Sensor(rays=91)))
-    cells, factor = grid.occupied.size, fine_factor(grid)
-    need = simulate_bytes(cells, factor**2 * cells, count * 91)
-    assert taken <= need <= 3 * taken
-
-
 def test_the_fine_image_is_as_large_as_said() -> None:
     grid = office(1)
     factor = fine_factor(grid, 0.02)
@@ -114,7 +104,7 @@ def image_of(grey: np.ndarray, name: str) -> bytes:
 
 @pytest.mark.parametrize(
     "name",
-    ["flat.png", "grey.png", "rgba16.png", "grey.pgm", "P3.ppm", "rgb.bmp"],
+    ["flat.png", "rgba16.png", "grey.pgm", "P3.ppm", "rgb.bmp"],
 )
 def test_loading_a_map_takes_no_more_than_estimated(
     name: str, resident: Callable[..., int], tmp_path: Path
@@ -152,7 +142,6 @@ def write_scans(path: Path, count: int, rays: int, kind: str) -> None:
     [
         ("s.npz", 5000, 360, ""),
         ("s.npz", 15_000, 1, ""),
-        ("s.csv", 1500, 360, ""),
         ("s.csv", 1, 100_000, ""),
         ("s.csv", 1500, 360, "\N{COMPASS}\N{ROBOT FACE}"),
         ("s.jsonl", 1500, 360, ""),

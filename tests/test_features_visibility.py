@@ -7,7 +7,7 @@ import pytest
 
 from imgloc.errors import ConfigError
 from imgloc.features.surface import surface_points
-from imgloc.features.visibility import WAYS, _first_wall, unwrapped, visibility_frames
+from imgloc.features.visibility import WAYS, unwrapped, visibility_frames
 from imgloc.geometry import wrap
 from imgloc.model import OrientedPoints
 
@@ -54,11 +54,6 @@ def test_a_wall_at_the_horizon_itself_is_seen(by):
     assert visibility_frames(room(), surface, 0.1, 1, 0.99 * float(far), by=by)[0, 0] == np.inf
 
 
-def test_the_first_wall_lies_between_two_samples_half_a_cell_apart():
-    polar = np.array([[0, 255, 0, 0], [0, 0, 255, 255], [255, 0, 0, 0], [0, 0, 0, 99]], np.uint8)
-    assert _first_wall(polar).tolist() == [0.25, 0.75, 0.0, np.inf]
-
-
 def test_nothing_within_the_horizon_is_infinite_and_behind_is_zero():
     occupied = np.zeros((20, 60), bool)
     occupied[:, :2] = True
@@ -90,22 +85,6 @@ def test_rows_from_the_normal_on():
     assert frames.flags.c_contiguous
     assert not frames[9:28].any()  # a quarter turn or more from the normal
     assert (frames[:9] > 0).all()
-
-
-def test_turning_the_map_by_a_quarter_turns_the_view():
-    occupied = room(30, 50)
-    occupied[10:20, 20:23] = True
-    surface = surface_points(occupied, ~occupied, 0.1)
-    x, y = surface.xy.T
-    turned = OrientedPoints(
-        np.stack((3.0 - y, x), axis=1), wrap(surface.alpha + np.pi / 2),
-        surface.sigma_alpha, surface.valid,
-    )  # fmt: skip
-    other = np.rot90(occupied, 1, axes=(1, 0))
-    for by, share in (("march", 0.99), ("polar", 0.99)):
-        one = visibility_frames(occupied, surface, 0.1, 24, 9.0, by=by)
-        two = visibility_frames(other, turned, 0.1, 24, 9.0, by=by)
-        assert (np.abs(one - two) < 0.05).mean() > share
 
 
 @both

@@ -73,13 +73,6 @@ def tracked():
     return list(follow(features_of(WORLD), log(), tracker_of()))
 
 
-def test_the_log_is_in_free_space() -> None:
-    features = features_of(WORLD)
-    local = transform_poses(inverse(features.grid.origin), log().poses)
-    cells = (local[:, 1::-1] / features.lattice.resolution).astype(int)
-    assert features.free[tuple(cells.T)].all()
-
-
 def test_it_is_found_and_published_only_when_unique() -> None:
     moments = tracked()
     assert max(errors(moments, log())[4:]) < 0.3
@@ -449,18 +442,6 @@ def test_odometry_that_is_often_wrong_is_trusted_less() -> None:
     assert wide[1] > 1.3 * wide[0]
 
 
-def test_a_robot_off_the_map_is_lost() -> None:
-    """Scans of another world fit nowhere."""
-    fine = render(WORLDS["curved"](), 0.05)
-    ranges = simulate_ranges(fine, [[2.9, 4.8, 0.3]], ANGLES, seed=1, range_max=30.0)
-    scans = (LaserScan(ranges[0], ANGLES, range_max=30.0),) * 12
-    odom = np.column_stack((np.arange(12) * 0.6, np.zeros(12), np.zeros(12)))
-    strange = ScanSet(scans, None, np.arange(12.0), odom)
-    tracker = Tracker(features_of(WORLD), find=Searches(features_of(WORLD), Options()))
-    moments = list(follow(features_of(WORLD), strange, tracker))
-    assert all(m.pose is None for m in moments)
-
-
 def test_scans_that_say_nothing_leave_the_belief_alone() -> None:
     blind = LaserScan(np.full(90, np.inf), np.linspace(-1, 1, 90), range_max=9.0)
     for name in ("tracker", "particle", "grid"):
@@ -562,14 +543,10 @@ def test_on_the_map_of_another_building_a_place_that_fits_for_a_while_is_not_uni
     shared: Path,
 ) -> None:
     """Before, 7 of these scans were, with masses up to 1: a corridor fitted for 4 m."""
-    data = shared / "data"
-    scans = load_scans(data / "raw" / "belgioioso.log").take(range(160))
-    for name, least, most in (("fr079", 0, 0), ("belgioioso", 20, 60)):
-        features = prepare(load_map(data / name / "map.yaml"))
-        moments = follow(
-            features, scans.take(range(most or 160)), make_filter("tracker", features, Options())
-        )
-        assert least <= sum(m.pose is not None for m in moments) <= most
+    scans = load_scans(shared / "data" / "raw" / "belgioioso.log").take(range(160))
+    features = prepare(load_map(shared / "data" / "fr079" / "map.yaml"))
+    moments = follow(features, scans, make_filter("tracker", features, Options()))
+    assert not [m.index for m in moments if m.pose is not None]
 
 
 def test_a_scan_that_stays_as_it_is_while_the_robot_drives_is_an_old_one() -> None:
@@ -604,14 +581,6 @@ def test_every_decides_what_is_looked_at() -> None:
     gap = Every(1.2, 9.0)
     looked = [m.looked for m in follow(features_of(WORLD), scans, tracker_of(), every=gap)]
     assert looked[:4] == [True, False, False, True]
-
-
-def test_a_start_is_taken() -> None:
-    scans, features = log(), features_of(WORLD)
-    tracker = Tracker(features, find=lambda _: NO_PLACES)
-    start = Pose2D(*scans.poses[0])
-    first = next(iter(follow(features, scans, tracker, start=start)))
-    assert errors([first], scans)[0] < 0.2
 
 
 def test_refuses_logs_that_cannot_be_followed() -> None:
@@ -693,11 +662,6 @@ def test_another_best_place_is_followed_anew() -> None:
     assert followed.metres == pytest.approx(2.0)
     followed.best(np.array([9.0, 0.0, 0.0]))
     assert followed.metres == 0
-
-
-def test_options_of_the_tracker_say_what_they_are() -> None:
-    assert TrackerOptions().resets
-    assert Tracker(features_of(WORLD)).belief.lost == 1.0
 
 
 def test_a_few_stamps_that_go_back_are_sorted_and_a_clock_set_back_is_refused(caplog) -> None:

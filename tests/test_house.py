@@ -66,19 +66,6 @@ def test_lines_are_counted(tmp_path: Path) -> None:
     assert file.docs == ("What.", "Why.")
 
 
-def test_no_count_is_above_its_limit_and_no_limit_below_its_goal(capsys) -> None:
-    code = house.main(["--longest", "1"])
-    lines = capsys.readouterr().out.splitlines()
-    ends = (" met |", " goal |", " above |")
-    rows = [line.strip("| ").split(" | ") for line in lines if line.endswith(ends)]
-    assert [name for name, *_ in rows] == list(house.LIMITS)
-    for name, is_, limit, goal, so in rows:
-        assert int(goal) <= int(limit), name
-        assert so == ("met" if int(is_) <= int(goal) else "goal"), name
-    assert code == 0
-    assert sum("lines of code:" in line for line in lines) == 1
-
-
 def test_a_count_above_its_limit_is_red(capsys, monkeypatch) -> None:
     monkeypatch.setitem(house.LIMITS, "numbers", (3, 1))
     assert house.main(["--without", "io"]) == 1

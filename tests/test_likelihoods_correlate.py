@@ -234,16 +234,6 @@ def test_only_wanted_poses(engine):
     assert not nowhere.any()
 
 
-@every_engine
-def test_output_is_reused(engine):
-    image, xy = random_case(11)
-    thetas = np.array([0.0, 0.4])
-    out = np.full((2, *image.shape), np.nan, dtype=np.float32)
-    fresh = correlate(image, xy, thetas, 0.1, engine=engine)
-    assert correlate(image, xy, thetas, 0.1, engine=engine, out=out) is out
-    np.testing.assert_array_equal(out, fresh)
-
-
 def test_image_may_be_any_view():
     image, xy = random_case(12, (14, 20))
     thetas = np.array([0.0, 1.1])
@@ -261,20 +251,12 @@ def test_image_may_be_any_view():
         np.empty((2, 7, 9), np.float32),
         np.empty((1, 7, 10)),
         np.empty((1, 7, 20), np.float32)[..., ::2],
-        np.broadcast_to(np.float32(0), (1, 7, 10)),
+        np.frombuffer(bytes(280), np.float32).reshape(1, 7, 10),  # may not be written to
     ],
 )
 def test_refuses_an_output_that_does_not_fit(out):
     image, xy = random_case(13)
     with pytest.raises(ValueError, match="out must be"):
-        correlate(image, xy, ONE, 0.1, out=out)
-
-
-def test_refuses_a_read_only_output():
-    image, xy = random_case(13)
-    out = np.empty((1, 7, 10), np.float32)
-    out.flags.writeable = False
-    with pytest.raises(ValueError, match="writable"):
         correlate(image, xy, ONE, 0.1, out=out)
 
 

@@ -189,38 +189,6 @@ def test_random_cases_equal_the_listing(seed):
     )
 
 
-@settings(max_examples=30)
-@given(seeds)
-def test_turning_the_map_turns_the_votes(seed):
-    surface, points, vis = random_case(seed, (6, 9), m=40, n=20)
-    vis = relative(vis, surface.alpha)
-    stack = ght_v(surface, vis, points, 8, (6, 9), 0.1)
-    x, y = surface.xy.T
-    turned = oriented(np.stack((0.6 - y, x), axis=1), surface.alpha + np.pi / 2, surface.valid)
-    # Relative to the normals, what each point sees is the same.
-    again = ght_v(turned, vis, points, 8, (9, 6), 0.1)
-    np.testing.assert_array_equal(np.roll(stack.swapaxes(1, 2)[..., ::-1], 2, axis=0), again)
-
-
-@settings(max_examples=30)
-@given(seeds, st.floats(-7, 7))
-def test_order_of_points_and_heading_of_the_sensor(seed, turn):
-    surface, points, vis = random_case(seed, m=30, n=20)
-    vis = relative(vis, surface.alpha)
-    rng = np.random.default_rng(seed)
-    i, j = rng.permutation(len(points)), rng.permutation(len(surface))
-    stack = ght_v(surface, vis, points, 5, (7, 10), 0.1)
-    again = ght_v(surface.select(j), vis[:, j], points.select(i), 5, (7, 10), 0.1)
-    np.testing.assert_array_equal(again, stack)
-    # A sensor mounted at another angle votes for the same places.
-    c, s = np.cos(turn), np.sin(turn)
-    xy = points.xy @ np.array([[c, s], [-s, c]])
-    mounted = oriented(xy, points.alpha + turn, points.valid)
-    # (up to visibility bins: the way back is the same angle from the normal, but for rounding)
-    votes = ght(surface, mounted, 1, (7, 10), 0.1)
-    np.testing.assert_array_equal(votes, ght(surface, points, 1, (7, 10), 0.1))
-
-
 @pytest.mark.parametrize("n_theta", [24, 36, 120])
 def test_a_normal_just_below_a_whole_turn_has_a_heading(n_theta):
     # A half added to round to the nearest bin makes a turn of what is just less than one.

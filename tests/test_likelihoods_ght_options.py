@@ -3,7 +3,6 @@
 import naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.likelihoods.ght import BLOCK_COLUMNS, ght, ght_v
@@ -69,21 +68,3 @@ def test_once_holds_across_blocks_and_threads():
     for threads in (2, 5):
         more = ght_v(surface, vis, points, 3, SHAPE, 0.1, once=True, threads=threads)
         np.testing.assert_array_equal(more, stack)
-
-
-@settings(max_examples=25)
-@given(seeds, st.booleans())
-def test_turning_the_map_turns_the_votes(seed, once):
-    surface, points, vis = random_case(seed, m=40, n=12)
-    vis = relative(vis, surface.alpha)
-    stack = ght_v(surface, vis, points, 8, SHAPE, 0.1, once=once)
-    x, y = surface.xy.T
-    turned = OrientedPoints(
-        np.stack((0.1 * SHAPE[0] - y, x), axis=1), surface.alpha + np.pi / 2,
-        surface.sigma_alpha, surface.valid,
-    )  # fmt: skip
-    again = ght_v(turned, vis, points, 8, SHAPE[::-1], 0.1, once=once)
-    expected = np.roll(stack.swapaxes(1, 2)[..., ::-1], 2, axis=0)
-    assert stack.sum() > 0
-    # A vote on the border of a cell may be rounded into the next.
-    assert np.abs(expected - again).sum() <= 0.01 * stack.sum()

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, rows
+from command import MAPS
 
 import imgloc
 from imgloc import (
@@ -36,7 +36,6 @@ from imgloc import (
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.filters.motion import noisy_odometry
 from imgloc.io.calibration import calibration_path, load_calibrations, save_calibrations
-from imgloc.io.scans import save_scans
 from imgloc.live.line import Key, Line
 from imgloc.model import to_json
 from imgloc.options import Calibration, Shared
@@ -132,28 +131,6 @@ def test_an_answer_is_that_of_localize_and_says_whose_it_is(
         assert answer.waited_ms >= 0
 
 
-def test_rows_are_those_of_the_commands(
-    core: Localizer, scans: list[LaserScan], log: ScanSet, tmp_path: Path
-) -> None:
-    save_scans(tmp_path / "a.npz", ScanSet(tuple(scans[:1])))
-    save_scans(tmp_path / "log.npz", log)
-    said = call("localize", MAPS / "curved.yaml", tmp_path / "a.npz", "--json", "--no-cache")
-    answer = core.localize(scans[0], "curved").value
-    assert whole(answer_row(answer, scans[0])) == whole(rows(said.out)[0])
-    (floors := tmp_path / "floors").mkdir()
-    for name in NAMES:
-        imgloc.save_map(floors / f"{name}.yaml", imgloc.load_map(MAPS / f"{name}.yaml"))
-    said = call("which", floors, tmp_path / "a.npz", "--json")
-    assert to_json(core.which(scans[0]).value.as_row()) == said.out.strip()
-    said = call("track", MAPS / "visibility.yaml", tmp_path / "log.npz", "--json")
-    assert log.odom is not None
-    robot = core.robot("visibility")
-    origin = imgloc.load_map(MAPS / "visibility.yaml").origin
-    moments = [robot.update(s, o).value for s, o in zip(log.scans, log.odom, strict=True)]
-    assert [to_json(moment_row(m, origin)) for m in moments] == said.out.splitlines()
-    robot.end()
-
-
 def test_update_is_follow(core: Localizer, log: ScanSet) -> None:
     features = imgloc.prepare(imgloc.load_map(MAPS / "visibility.yaml"))
     filter_ = imgloc.make_filter("tracker", features, Options())
@@ -210,7 +187,7 @@ def made_lazily(features: MapFeatures) -> dict[int, set[str]]:
     }
 
 
-@pytest.mark.parametrize("tracking", [Tracking(), Tracking("particle"), Tracking("grid")])
+@pytest.mark.parametrize("tracking", [Tracking(), Tracking("grid")])
 def test_nothing_is_made_of_a_map_after_it_is_ready(
     scans: list[LaserScan], tracking: Tracking
 ) -> None:
@@ -226,21 +203,6 @@ def test_nothing_is_made_of_a_map_after_it_is_ready(
             core.localize(scan)
             core.update(replace(scan, stamp=math.nan), np.array([0.6 * k, 0, 0]))
         core.which(scans[0])
-        assert made_lazily(features) == before
-
-
-def test_a_recorded_map_is_made_as_a_whole() -> None:
-    """Its scans are strained: walls are made thinner, votes propose."""
-    folder = Path(__file__).parents[2] / "shared/data/fr079"
-    if not folder.exists():
-        pytest.skip("needs ../shared/data/fr079")
-    features = imgloc.prepare(imgloc.load_map(folder / "map.yaml"))
-    log = imgloc.load_scans(folder / "scans.npz").scans[::120]
-    with Localizer(features) as core:
-        before = made_lazily(features)
-        for scan in log:
-            core.localize(scan)
-            core.localize(scan.scaled(1.05))
         assert made_lazily(features) == before
 
 
@@ -617,7 +579,7 @@ begun.wait()
 """
 
 
-@pytest.mark.parametrize("closes", ["", "core.close()", "core.close(wait=True)"])
+@pytest.mark.parametrize("closes", ["", "core.close(wait=True)"])
 def test_a_process_ends_though_a_map_is_under_way_inside_opencv(closes) -> None:
     words = [sys.executable, "-c", _LEAVES.format(closes=closes)]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)

@@ -446,7 +446,7 @@ def test_pictures_of_several_threads_are_those_of_one():
     answers = [answer(hypothesis(1.0 + k / 2, 2.0, 0.5 * k)) for k in range(6)]
     alone = [draw(grid, one).image for one in answers]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda one: draw(grid, one).image, answers * 4))
+        together = list(pool.map(lambda one: draw(grid, one).image, answers * 2))
     for k, image in enumerate(together):
         assert np.array_equal(image, alone[k % 6])
 

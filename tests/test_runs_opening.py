@@ -10,9 +10,10 @@ from test_features_budget import office, peak
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import PROCESS
+from imgloc.model import Pose2D
 from imgloc.options import Options, Sensor
 from imgloc.pipeline import prepare
-from imgloc.runs.opening import Desk
+from imgloc.runs.opening import Desk, ScanFiles
 from imgloc.simulation.scans import simulate
 
 
@@ -69,3 +70,8 @@ def test_a_simulation_beyond_the_budget_is_refused_by_the_command(tmp_path: Path
     ask = ("simulate", "visibility", "-n", "5000", "--rays", "1081", "--out", out)
     call(*ask, "--memory-budget", "500M").ends(2, "simulating 5,000 scans of 1,081 rays")
     assert not out.exists()
+
+
+def test_a_sensor_far_from_its_robot_is_refused() -> None:
+    with pytest.raises(ConfigError, match="centimetres"):
+        ScanFiles(mount=Pose2D(100.0, 0.0))

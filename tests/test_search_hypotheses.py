@@ -35,17 +35,6 @@ def test_masses_are_a_softmax(score, temperature):
     assert got.sum() == pytest.approx(1)
 
 
-@given(scores, st.floats(-1e5, 1e5))
-def test_a_constant_of_the_scan_changes_no_mass(score, constant):
-    np.testing.assert_allclose(masses(score + constant, 4.0), masses(score, 4.0), atol=1e-6)
-
-
-def test_a_temperature_is_a_discount():
-    score = np.array([0.0, -4.0])
-    assert masses(score, 4.0)[0] == pytest.approx(1 / (1 + math.exp(-1)))
-    assert masses(score, 1.0)[0] > masses(score, 4.0)[0] > masses(score, 100.0)[0] > 0.5
-
-
 def test_masses_of_nothing_and_of_the_impossible():
     assert masses(np.empty(0), 1.0).tolist() == []
     assert masses(np.array([5.0]), 1.0).tolist() == [1.0]

@@ -91,13 +91,6 @@ def test_nothing_comes_in_from_outside_the_image():
     assert got[0, 0] == pytest.approx(got[0, 15] ** 2, abs=1e-3)
 
 
-@given(shapes, seeds, st.integers(0, 6))
-def test_smoothing_commutes_with_turning_the_circle(shape, seed, turn):
-    values = np.random.default_rng(seed).random(shape).astype(np.float32)
-    turned = smooth(np.roll(values, turn, axis=0), 0.8, 0.7)
-    np.testing.assert_allclose(turned, np.roll(smooth(values, 0.8, 0.7), turn, axis=0), rtol=1e-5)
-
-
 def test_zero_width_copies():
     values = np.arange(12, dtype=np.float32).reshape(3, 2, 2)
     got = smooth(values, 0, 0)
@@ -162,20 +155,6 @@ def test_a_read_only_stack_and_a_view_of_one_have_peaks():
     assert find_peaks(values[:, 1:8, ::2], 9).tolist() == expected
 
 
-@given(shapes, seeds, st.integers(1, 2))
-def test_peaks_of_distinct_values_turn_with_the_circle(shape, seed, radius):
-    rng = np.random.default_rng(seed)
-    values = (1 + rng.permutation(math.prod(shape))).reshape(shape).astype(np.float32)
-    peaks = find_peaks(values, 99, radius=radius)
-    scores = values[tuple(peaks.T)]
-    assert np.all(np.diff(scores) < 0)
-    assert scores[0] == values.max()
-    turned = find_peaks(np.roll(values, 2, axis=0), 99, radius=radius)
-    np.testing.assert_array_equal((peaks + (2, 0, 0)) % (shape[0], *(99, 99)), turned)
-    # More peaks than asked for: the best of them.
-    np.testing.assert_array_equal(find_peaks(values, 2, radius=radius), peaks[:2])
-
-
 def test_a_better_value_where_no_peak_may_be_hides_none():
     values = np.array([[[5, 4, 0, 1]]], np.float32)
     where = np.array([[False, True, True, True]])
@@ -198,21 +177,6 @@ def test_separation_equals_the_greedy_loops(seed, m, n, wrapped):
     expected = naive_separated(poses.tolist(), n, 0.5, 0.3)
     assert picked.tolist() == expected[0]
     assert owner.tolist() == expected[1]
-
-
-@given(seeds)
-@settings(max_examples=30)
-def test_picked_poses_are_apart_and_the_others_have_a_better_neighbour(seed):
-    poses = poses_of(seed, 30)
-    picked, owner = separated(poses, 30, distance=0.5, angle=0.3)
-    for i in range(30):
-        gap = np.hypot(*(poses[picked, :2] - poses[i, :2]).T)
-        turn = np.abs(np.angle(np.exp(1j * (poses[picked, 2] - poses[i, 2]))))
-        near = (gap < 0.5) & (turn < 0.3)
-        if i in picked:
-            assert picked[near].tolist() == [i]
-        assert near[owner[i]]
-        assert picked[owner[i]] <= i
 
 
 def test_neighbours_are_strictly_closer_in_both():

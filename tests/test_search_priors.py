@@ -217,14 +217,12 @@ def closed_room(width: float, height: float, pose: tuple[float, float, float]) -
     "known",
     [
         Known(),
-        Known(clearance=0.01),
         Known(clearance=0.3),
-        Known(heading=(0.0, np.pi)),
         Known(heading=(1.0, 0.5)),
         Known(near=(5.0, 7.0, 0.0, 3.0, 1.6)),
         Known(near=(5.0, 7.0, 0.0, RADIUS, TOLERANCE), sd=(0.5, 0.2)),
     ],
-    ids=["nothing", "1 cm", "30 cm", "any heading", "a heading", "a place", "a rough place"],
+    ids=["nothing", "30 cm", "a heading", "a place", "a rough place"],
 )
 def test_what_is_known_lets_no_room_in_that_is_on_no_map(visibility, known):
     features, _ = visibility
@@ -248,7 +246,7 @@ def test_a_prior_without_a_pose_is_refused(visibility):
         localize(features, scans[0], Options(prior=nowhere))
 
 
-SCANS = int(os.environ.get("IMGLOC_SCANS", "5"))
+SCANS = int(os.environ.get("IMGLOC_SCANS", "3"))
 """Scans of each world; tools/docs/measured/hints-2026-11-26.md has 67 of each."""
 
 

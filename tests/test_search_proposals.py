@@ -182,28 +182,6 @@ def test_threads_and_the_order_of_points_change_nothing(seed):
             np.testing.assert_array_equal(a, b)
 
 
-@given(seeds, st.integers(1, 3))
-@settings(max_examples=10)
-def test_a_turned_map_has_the_turned_best_pose(seed, turns):
-    rng = np.random.default_rng(seed)
-    occupied = rng.random((16, 24)) < 0.08
-    occupied[3, 4] = True
-    xy = rng.uniform(-1, 1, (7, 2))
-    poses, scores = propose_endpoints(levels_of(occupied), xy, theta_step=STEP, keep=ALL)
-    # Rows go up, so that a clockwise turn of the array is a counter-clockwise one of the plane.
-    turned = np.ascontiguousarray(np.rot90(occupied, -turns))
-    there, scores_there = propose_endpoints(levels_of(turned), xy, theta_step=STEP, keep=ALL)
-    assert scores_there[0] == pytest.approx(scores[0])
-    sides = np.array([1.6, 2.4]), np.array([2.4, 1.6])
-    corner = {1: (sides[0][0], 0), 2: (sides[1][0], sides[1][1]), 3: (0, sides[1][0])}[turns]
-    moved = transform_points(Pose2D(*corner, turns * np.pi / 2), poses[:1, :2])[0]
-    top = there[np.isclose(scores_there, scores[0])]
-    gap = np.abs(top[:, :2] - moved).max(axis=1)
-    turn = np.abs(np.angle(np.exp(1j * (top[:, 2] - poses[0, 2] - turns * np.pi / 2))))
-    near = (gap < (BLOCK - 0.5) * RESOLUTION) & (turn < (BLOCK - 0.5) * STEP)
-    assert near.any()  # the same one, or a tie in its block
-
-
 def test_the_best_pose_is_the_one_the_scan_was_made_at():
     occupied = np.zeros((40, 60), bool)
     occupied[[0, -1]] = occupied[:, [0, -1]] = True
@@ -266,18 +244,6 @@ def test_nothing_to_propose():
         assert scores.shape == (0,)
 
 
-@pytest.mark.parametrize(("most", "points", "left"), [(255, 32, 7), (64, 32, 7), (100, 40, 6)])
-def test_few_grey_levels_are_those_that_the_image_has(most, points, left):
-    image = np.array([[0, most // 2, most]], np.uint8)
-    level = Level(image, image < 9, 0.8)
-    few = proposals._rough(level, points)
-    assert few.image[0, 0] == 0
-    assert few.image[0, 1] == pytest.approx(left / 2, abs=0.51)
-    assert few.image[0, 2] == left
-    assert left * points <= 255
-    assert few.free is level.free
-
-
 @pytest.mark.parametrize(("most", "points"), [(7, 32), (1, 10), (255, 43), (255, 400), (0, 9)])
 def test_a_faint_image_and_many_points_stay_as_they_are(most, points):
     level = Level(np.array([[0, most]], np.uint8), np.ones((1, 2), bool), 0.8)
@@ -297,22 +263,6 @@ def test_walls_that_are_faint_on_coarse_cells_propose():
     poses, _ = propose_endpoints(levels, xy, theta_step=STEP, keep=(200, 200, 200))
     near = np.hypot(poses[:, 0] - pose.x, poses[:, 1] - pose.y) < 2
     assert (near & (np.abs(poses[:, 2]) < STEP)).any()
-
-
-@pytest.mark.parametrize("shape", [(7, 5), (6, 9), (1, 1), (2, 30)])
-@pytest.mark.parametrize("count", [1, 2000])  # few and many lookups beside the size of the level
-def test_scores_of_four_cells_at_once(shape, count):
-    rng = np.random.default_rng(13)
-    level = Level(rng.integers(0, 256, shape).astype(np.uint8), np.ones(shape, bool), 0.1)
-    xy, thetas = rng.uniform(-0.9, 0.9, (5, 2)), uniform_thetas(np.pi / 3)
-    xy[0] = 1e5, -1e7  # far off any map
-    half = [-(-side // 2) for side in shape]
-    parents = np.column_stack([rng.integers(0, n, count) for n in (len(thetas), *half)])
-    sums = proposals._score(level, xy, thetas, parents)
-    for (k, r, c), four in zip(parents[:60].tolist(), sums[:60].tolist(), strict=True):
-        for q, (dr, dc) in enumerate(itertools.product((0, 1), (0, 1))):
-            if 2 * r + dr < shape[0] and 2 * c + dc < shape[1]:
-                assert four[q] == score(level, xy, thetas[k], 2 * r + dr, 2 * c + dc)
 
 
 def test_a_far_reading_pads_a_long_level_by_its_own_sides():

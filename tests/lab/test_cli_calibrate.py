@@ -98,8 +98,6 @@ def test_maps_that_share_a_fit(office: Path) -> None:
     ("words", "code", "expected"),
     [
         (["--method", "fused"], 2, "--method: got 'fused', expected cbml,"),
-        (["--cell", "0"], 2, "--cell: got 0"),
-        (["--range-max", "0"], 2, "--range-max: got 0"),
         (["--clearance", "50"], 3, "clearance"),
         (["MAP"], 2, "the same map twice"),
         (["-n", "1"], 2, "got 1 in all, expected at least 20"),
@@ -180,9 +178,7 @@ def test_scans_from_elsewhere_say_nothing(office: Path) -> None:
     assert not office.with_name("curved.calibration.json").exists()
 
 
-def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
-    shared: Path, tmp_path: Path
-) -> None:
+def test_which_says_why_scans_of_a_map_have_none(shared: Path, tmp_path: Path) -> None:
     for name in ("fr079", "gh25"):
         (tmp_path / "maps" / name).mkdir(parents=True)
         for file in (shared / "data" / name).glob("map.*"):
@@ -194,8 +190,6 @@ def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
     named = sum(line.split()[1] == "fr079" for line in run.out.splitlines()[1:])
     assert named < 4
     where = tmp_path / "maps" / "fr079" / "map.yaml"
-    sure = rows(call("localize", where, tmp_path / "a.npz", "--json", "--no-cache").out)
-    assert [row["verdict"] for row in sure].count("unique") >= 5
     told = run.err.splitlines()[-1]
     assert "fr079: most scans fit this map far better with their ranges multiplied by 0.9" in told
     assert "imgloc calibrate MAP --scans FILE finds it once for all" in told

@@ -50,9 +50,8 @@ def test_scans_that_fit_nowhere_alone_calibrate_a_map_together(bent: Path) -> No
     assert f"{about['used']} of {N} are at sure places" in run.out
     assert "stands 0.15 m off" in run.out
     assert f"lack {shared['usual']:.1f} nats per reading here" in run.out
-    for row in rows(call("localize", *files, "--json", "--sample", 3).out):
+    for row in rows(call("localize", *files, "--json", "--sample", 1).out):
         assert row["parameters"]["shared"] == shared
-    assert "thinner" not in call("track", *files).err  # there is nothing left to find
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,13 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, ROOT, call, command, rows
+from command import MAPS, call, command, rows
 
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import in_grid_frame
@@ -157,22 +156,6 @@ def test_no_stop_loses_a_whole_row(tmp_path: Path) -> None:
         again.close()
 
 
-def test_a_journal_that_is_killed_while_it_starts_again_is_whole(tmp_path: Path) -> None:
-    path = tmp_path / "a.part"
-    journal = Journal(path, {"step": 1})
-    for value in range(500):
-        journal.add(row(value))
-    journal.close()
-    content = path.read_bytes()
-    code = (
-        "import os, sys; from pathlib import Path; from imgloc.lab.atlas_rows import Journal\n"
-        "journal = Journal(Path(sys.argv[1]), {'step': 1}); os._exit(len(journal.rows) != 500)"
-    )
-    run = [sys.executable, "-c", code, str(path)]
-    assert subprocess.run(run, check=False, cwd=ROOT).returncode == 0
-    assert path.read_bytes() == content
-
-
 def test_a_file_of_something_else_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "a.part"
     for content in (b"half of a download", b'{"step": 2}\n[1]\n', b'{"step": 1}\nno row\n'):
@@ -247,18 +230,6 @@ def test_the_command_writes_a_picture_a_table_and_numbers(tmp_path: Path) -> Non
     assert cv2.imdecode(np.fromfile(png, np.uint8), cv2.IMREAD_COLOR).shape[1] >= 1000
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "a.png"]
     call(*ATLAS, "--out", png, "--json").ends(1, out="")
-
-
-def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
-    whole, part = tmp_path / "whole.png", tmp_path / "part.png"
-    first = call(*ATLAS, "--out", whole, "--csv", tmp_path / "w.csv", "--workers", 1)
-    # What a stop leaves behind: the head of the journal and some rows.
-    assert call(*ATLAS, "--out", part, "--step", 3, "--csv", tmp_path / "x" / "y.csv").code != 0
-    text = (tmp_path / "w.csv").read_text().splitlines()
-    done = call(*ATLAS, "--out", part, "--csv", tmp_path / "p.csv", "--workers", 2)
-    assert done.out == first.out
-    assert (tmp_path / "p.csv").read_text().splitlines() == text
-    assert whole.read_bytes() == part.read_bytes()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -217,8 +217,3 @@ def test_a_scan_that_several_files_have_counts_once(logs):
     found = call(*twice, "--json", "--no-cache")
     assert json.loads(found.out) == once
     assert "copy.npz: 4 of its scans are in a file before, and count once" in found.err
-
-
-def test_the_help_says_which_scans_count_once():
-    text = " ".join(call("map", "changes", "--help").out.split())
-    assert "the same stamp, ranges and angles as another" in text

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import MAPS, spawn
+from command import MAPS, call
 
 import imgloc
 from imgloc.errors import ConfigError
@@ -328,5 +328,4 @@ def test_each_parameter_has_the_text_the_limits_and_the_default_of_its_option(
     ],
 )
 def test_the_command_refuses_parameters_before_it_runs(words: tuple[str, ...], said: str) -> None:
-    run = spawn("node", "curved", "--sensor", "0,0,0", *words)
-    assert (run.code, said in run.err) == (2, True), run.err
+    call("node", "curved", "--sensor", "0,0,0", *words).ends(2, said)

@@ -420,27 +420,28 @@ def changed(page: Any, before: bytes) -> None:
 STACKS = ["cbml", "cbml-o", "ght", "ght-v", "beam"]
 
 
-@pytest.mark.parametrize("layer", [*STACKS, "bmap", "vmap", "distance", "visibility", "atlas"])
-def test_layers(page: Any, log: Path, layer: str) -> None:
+def test_layers(page: Any, log: Path) -> None:
     drop(page, (log.name, log.read_bytes()))
     answered(page)
     sync.expect(page.locator("#note")).to_be_hidden()
-    without = pixels(page)
-    page.get_by_label("Layer on the map").select_option(layer)
-    if layer == "visibility":
-        page.mouse.move(500, 450)
-    key = {"visibility": "#layer-hint", "vmap": "#layer-hint", "atlas": "#atlas-key"}.get(
-        layer, "#scale"
-    )
-    sync.expect(page.locator(key)).to_be_visible()
-    sync.expect(page.locator("#trouble")).to_be_hidden()
-    changed(page, without)
-    if layer in STACKS[:-1]:  # beam is a point or two
-        sync.expect(page.locator("#slice-words")).to_have_text("best of all headings")
-        best = pixels(page)
-        page.keyboard.press(">")
-        sync.expect(page.locator("#slice-words")).to_have_text(re.compile(r"^heading −?\d+°$"))
-        changed(page, best)
+    shown, chosen = pixels(page), page.get_by_label("Layer on the map")
+    for layer in (*STACKS, "bmap", "vmap", "distance", "visibility", "atlas"):
+        chosen.select_option(layer)
+        if layer == "visibility":
+            page.mouse.move(500, 450)
+        key = {"visibility": "#layer-hint", "vmap": "#layer-hint", "atlas": "#atlas-key"}.get(
+            layer, "#scale"
+        )
+        sync.expect(page.locator(key)).to_be_visible()
+        sync.expect(page.locator("#trouble")).to_be_hidden()
+        changed(page, shown)
+        shown = pixels(page)
+        if layer in STACKS[:-1]:  # beam is a point or two
+            sync.expect(page.locator("#slice-words")).to_have_text("best of all headings")
+            page.keyboard.press(">")
+            sync.expect(page.locator("#slice-words")).to_have_text(re.compile(r"^heading −?\d+°$"))
+            changed(page, shown)
+            shown = pixels(page)
 
 
 def test_the_copied_command_and_python_give_the_same_answer(
@@ -866,23 +867,21 @@ def test_the_page_sends_the_token_of_its_address(browser: Any, log: Path) -> Non
             sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
 
 
-@pytest.mark.parametrize(
-    ("end", "said"), [("", "has none"), ("#token=not-the-right-one", "does not accept")]
-)
-def test_without_the_token_the_page_says_what_it_needs(browser: Any, end: str, said: str) -> None:
+def test_without_the_token_the_page_says_what_it_needs(browser: Any) -> None:
     secret = "correct-horse-battery"
     with served(MAPS / "visibility.yaml", "--token", secret) as one:
-        page = browser.new_page()
         address = one.address.partition("#")[0].rstrip("/")
-        page.goto(f"{address}/{end}")
-        trouble = page.locator("#trouble")
-        sync.expect(trouble).to_contain_text(said)
-        sync.expect(trouble).to_contain_text("#token=...")
-        sync.expect(page.locator("#welcome")).to_be_hidden()
-        trouble.get_by_role("button").click()  # nothing lies over it
-        page.goto(f"{address}/#token={secret}")
-        sync.expect(page.locator("#map")).to_have_value("visibility")
-        page.close()
+        for end, said in (("", "has none"), ("#token=not-the-right-one", "does not accept")):
+            page = browser.new_page()
+            page.goto(f"{address}/{end}")
+            trouble = page.locator("#trouble")
+            sync.expect(trouble).to_contain_text(said)
+            sync.expect(trouble).to_contain_text("#token=...")
+            sync.expect(page.locator("#welcome")).to_be_hidden()
+            trouble.get_by_role("button").click()  # nothing lies over it
+            page.goto(f"{address}/#token={secret}")
+            sync.expect(page.locator("#map")).to_have_value("visibility")
+            page.close()
 
 
 def test_the_page_waits_for_maps_that_are_being_prepared(browser: Any) -> None:

@@ -111,15 +111,6 @@ def test_an_answer_is_what_localize_prints(
     assert there.headers["content-type"] == kind
 
 
-def test_one_scan_as_json_is_the_same_scan(http: httpx.Client, scans: Path, tmp_path: Path) -> None:
-    line = json.dumps(laser_scan(scans, 1))
-    (tmp_path / "one.jsonl").write_text(line + "\n")
-    here = call("localize", MAP, tmp_path / "one.jsonl", "--json")
-    there = http.post("/v1/localize?map=visibility", content=line,
-                      headers={"Content-Type": "application/json"})  # fmt: skip
-    assert answers(there.text) == untimed(here.out)
-
-
 def test_which_is_what_which_prints(http: httpx.Client, scans: Path, tmp_path: Path) -> None:
     for name in ("visibility", "curved"):
         for ending in (".yaml", ".png"):
@@ -164,21 +155,6 @@ def test_a_robot_that_says_nothing_for_long_is_followed_on() -> None:
             robot.send(line)
             assert json.loads(robot.recv(60))["index"] == index
             time.sleep(1.5)
-
-
-def test_places_of_a_belief_are_added_when_asked_for(service: Served) -> None:
-    pose = np.array([[4.0, 7.0, 0.5]])
-    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), pose, ANGLES, seed=2)[0]
-    ranges = [r if np.isfinite(r) else "inf" for r in seen.tolist()]
-    line = {"ranges": ranges, "angles": ANGLES.tolist(), "range_max": 30.0, "odom": [0, 0, 0]}
-    address = service.address.replace("http", "ws") + "/v1/track?map=visibility&places=true"
-    with connect(address) as robot:
-        robot.send(json.dumps(line))
-        row = json.loads(robot.recv(60))
-    best = row["places"][0]
-    assert [best["x"], best["y"], best["theta"]] == pytest.approx(pose[0], abs=0.1)
-    assert best["mass"] == row["mass"] == max(place["mass"] for place in row["places"])
-    assert len(row["places"]) <= 20
 
 
 def test_a_map_that_is_sent_answers_as_the_file_does(http: httpx.Client, scans: Path) -> None:
@@ -655,19 +631,6 @@ def test_half_a_head_half_a_body_and_nonsense_cost_nothing(http: httpx.Client) -
         assert one.end()[0] == 0
 
 
-def test_two_hundred_connections_that_say_nothing_shut_nobody_out(
-    service: Served, http: httpx.Client
-) -> None:
-    idle = [socket.create_connection(("127.0.0.1", service.port), timeout=30) for _ in range(200)]
-    try:
-        for _ in range(3):
-            assert httpx.get(f"{service.address}/healthz", timeout=30).status_code == 200
-    finally:
-        for one in idle:
-            one.close()
-    assert http.get("/readyz").status_code == 200
-
-
 @pytest.mark.parametrize(
     ("headers", "kind"),
     [
@@ -976,7 +939,7 @@ def test_schemathesis_finds_nothing(service: Served, tmp_path: Path) -> None:
     program = "from schemathesis.cli import schemathesis; schemathesis()"
     run = subprocess.run(
         [sys.executable, "-c", program, "--config-file", "schemathesis.toml", "run",
-         f"{service.address}/v1/openapi.json", "--max-examples", "5", "--seed", "1",
+         f"{service.address}/v1/openapi.json", "--max-examples", "3", "--seed", "1",
          "--phases", "fuzzing", "--no-color", "--warnings", "off"],
         cwd=tmp_path, capture_output=True, text=True, timeout=500, check=False,
     )  # fmt: skip

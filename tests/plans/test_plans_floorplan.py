@@ -40,11 +40,8 @@ from tools.plans.sheets import (
     drawn,
     framed,
     inked,
-    jpeg,
-    legend,
     padded,
     photographed,
-    scanned,
     titled,
     turned,
 )
@@ -188,11 +185,9 @@ def title_near(plan: Image) -> None:
     "frame",
     [
         title_near,
-        lambda plan: cv2.rectangle(plan, (10, 60), (689, 489), 0, 5),
         lambda plan: cv2.rectangle(plan, (117, 57), (689, 489), 0, 5),
-        lambda plan: cv2.rectangle(plan, (61, 2), (592, 381), 0, 5),
     ],
-    ids=["title block near", "line along a wall", "lines along two walls", "1.1 m around it"],
+    ids=["title block near", "lines along two walls"],
 )
 def test_a_frame_may_be_near_the_building(frame: Callable[[Image], None]) -> None:
     plan = np.full((500, 700), 255, np.uint8)
@@ -345,11 +340,9 @@ def test_what_is_as_thick_stays_where_it_was(thickness: int) -> None:
         assert np.array_equal(np.flip(opened(np.flip(bars, axis), thickness), axis), result)
 
 
-@pytest.mark.parametrize(("style", "resolution"), [("filled", 0.02), ("outlined", 0.0125)])
-def test_the_map_of_a_shifted_or_mirrored_plan_is_shifted_or_mirrored(
-    style: str, resolution: float
-) -> None:
-    plan, cells = upright(draw_plan(cabin(), resolution, style)), round(4 * CELL / resolution)
+def test_the_map_of_a_shifted_or_mirrored_plan_is_shifted_or_mirrored() -> None:
+    resolution = 0.02
+    plan, cells = upright(draw_plan(cabin(), resolution, "filled")), round(4 * CELL / resolution)
     plan = np.pad(plan, [(0, -side % cells) for side in plan.shape], constant_values=255)
     grid = plan_to_map(plan, resolution).grid
     high, wide = (side * resolution for side in plan.shape)
@@ -467,13 +460,11 @@ def cabin_sheet() -> Sheet:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda s: legend(titled(s, "FLOOR 2", 2.0, 0.08)),
         lambda s: turned(framed(s), 2.0, 90),
         lambda s: photographed(titled(s, "FLOOR 2", 1.0), 3),
-        lambda s: jpeg(scanned(s, 4)),
         lambda s: inked(titled(s, "FLOOR 2", 1.0), (230, 230, 120), (40, 30, 30)),
     ],
-    ids=["legend", "turned", "photographed", "scanned", "light on dark"],
+    ids=["turned", "photographed", "light on dark"],
 )
 def test_the_building_is_found_on_a_whole_sheet(
     cabin_sheet: Sheet, change: Callable[[Sheet], Sheet], tmp_path: Path
