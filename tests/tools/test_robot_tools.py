@@ -35,7 +35,7 @@ def test_a_recorded_log_is_a_place_with_true_poses(place: Place, folder) -> None
     for a, b in zip(known(one.log), known(place.log), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6)
     begin = ",".join(map(str, known(place.log)[0][0]))
-    (followed,) = recorded([], [(str(folder / "map.yaml"), str(folder / "scans.npz"), begin)])
+    (followed,) = recorded([], [(str(folder / "scans.npz"), f"{folder / 'map.yaml'}@{begin}")])
     off = known(followed.log)[0] - known(place.log)[0]
     assert np.hypot(*off[:, :2].T).max() < 0.3
 

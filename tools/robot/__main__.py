@@ -30,7 +30,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -85,8 +85,8 @@ def main() -> int:
     walk.add_argument("transition", choices=TRANSITIONS)
     for one in (restart, watch, soaking):
         one.add_argument("folders", nargs="*", type=Path, help="with map.yaml and scans.npz")
-        one.add_argument("--log", nargs=3, action="append", default=[],
-                         metavar=("MAP", "LOG", "X,Y,YAW"), help="and where it begins")  # fmt: skip
+        one.add_argument("--log", nargs=2, action="append", default=[],
+                         metavar=("LOG", "MAP@X,Y,YAW"), help="and where it begins")  # fmt: skip
         one.add_argument("--seed", type=int, default=0)
         one.add_argument("--seconds", type=float, default=math.inf, help="to stop after")
     restart.add_argument("-n", type=int, default=3000, help="starts (default: %(default)s)")
@@ -216,18 +216,17 @@ def _watch(given: argparse.Namespace) -> int:
     places, hours, said = recorded(given.folders, given.log), 0.0, Counter[str]()
     every = list(_until(given, watches.faults(given.n, given.seed, places)))
     print(*table_lines(watches.HEAD, watches.rows_of(every)), sep="\n", flush=True)
-    if given.hours:
-        for some, counts in _until(given, watches.healthy(100.0, given.seed, places)):
-            hours, said = hours + some, said + counts
-            if hours >= given.hours:
-                break
+    healthy = watches.healthy(100.0, given.seed, places) if given.hours else ()
+    for some, counts in _until(given, healthy):
+        hours, said = hours + some, said + counts
+        if hours >= given.hours:
+            break
     print(f"{hours:.2f} h without a fault: {json.dumps(said)}")
     return 0
 
 
 def _soak(given: argparse.Namespace) -> int:
-    rows: Mapping[str, soaks.Soaked] = {}
-    held = list[float]()
+    rows, held = dict[str, soaks.Soaked](), list[float]()
     for rows in _until(given, soaks.soak(given.seed, recorded(given.folders, given.log))):
         held.append(resident(os.getpid()))
         if sum(so.sums["seconds"] for so in rows.values()) >= 3600 * given.hours:

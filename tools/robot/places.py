@@ -10,7 +10,7 @@ import numpy as np
 from imgloc import LaserScan, MapFeatures, Pose2D, ScanSet, load_map, load_scans, prepare
 from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
-from imgloc.filters.follow import robot_poses, with_odometry
+from imgloc.filters.follow import robot_poses
 from imgloc.filters.motion import compose_poses, invert_poses, noisy_odometry
 from imgloc.geometry import pose_errors
 from imgloc.model import FloatArray, OccupancyGrid
@@ -23,7 +23,7 @@ from tools.trust.disturb import furnished, people, shut
 
 SIMULATED = ("curved", "double_wall", "large")
 _ANGLES = np.deg2rad(np.arange(-135, 135.5, 1.0))
-_RATE, SPEED, _REACH = 4.0, 0.5, 10.0  # scans a second, metres a second, metres
+_SPEED, _REACH = 0.5, 10.0  # metres a second, metres
 _ROOM = 0.35  # metres from a wall
 _APART = 3.0  # metres that a robot is carried at least
 
@@ -66,27 +66,29 @@ def world(name: str) -> MapFeatures:
     return prepare(render(WORLDS[name](), 0.05), name)
 
 
-def simulated(name: str, metres: float, seed: int, *, changed: bool = False) -> Place:
-    """A drive in a bundled world; furniture and doors have changed there since, if so asked."""
+def simulated(
+    name: str, metres: float, seed: int, *, changed: bool = False, rate: float = 4.0
+) -> Place:
+    """A drive with so many scans a second; furniture and doors have changed, if so asked."""
     features, rng = world(name), np.random.default_rng(seed)
     there = features.grid
     if changed:
         there = shut(furnished(there, rng), rng, share=0.2)
-    truth = route(there, metres, seed)
+    truth = route(there, metres, _SPEED / rate, seed)
     ranges = simulate_ranges(
         there, truth, _ANGLES, sigma=0.02, seed=int(rng.integers(1 << 30)), range_max=_REACH
     )
-    base, stamps = Pose2D(0.0, 0.0), 10 + np.arange(len(truth)) / _RATE
+    base, stamps = Pose2D(0.0, 0.0), 10 + np.arange(len(truth)) / rate
     scans = [LaserScan(r, _ANGLES, range_max=_REACH, T_base_laser=base) for r in ranges]
     some = tuple(people(s, rng, 4) if rng.random() < 0.1 else s for s in scans)
     return Place(name, features, ScanSet(some, truth, stamps, noisy_odometry(truth, rng)))
 
 
-def route(grid: OccupancyGrid, metres: float, seed: int) -> FloatArray:
-    """Poses (N, 3) of a drive through free places, a scan's time apart."""
+def route(grid: OccupancyGrid, metres: float, step: float, seed: int) -> FloatArray:
+    """Poses (N, 3) of a drive through free places, `step` metres apart."""
     room = distance_image(grid.occupied) * grid.resolution
     clear, done = replace(grid, free=grid.free & (room > _ROOM)), list[FloatArray]()
-    step, there = SPEED / _RATE, sample_free_poses(clear, 1, seed=seed)[0]
+    there = sample_free_poses(clear, 1, seed=seed)[0]
     while sum(map(len, done)) * step < metres:
         seed += 1
         goal = sample_free_poses(clear, 1, seed=seed)[0]
@@ -97,29 +99,28 @@ def route(grid: OccupancyGrid, metres: float, seed: int) -> FloatArray:
         except ValueError:
             continue
         cells = np.floor((path[:, 1::-1] - [grid.origin.y, grid.origin.x]) / grid.resolution)
-        if len(path) < 3 or not grid.free[tuple(cells.astype(int).T)].all():
-            continue
-        done.append(path)
-        there = path[-1]
+        if len(path) >= 3 and grid.free[tuple(cells.astype(int).T)].all():
+            done.append(path)
+            there = path[-1]
     return np.concatenate(done)[: round(metres / step)]
 
 
-def recorded(folders: Sequence[Path], logs: Sequence[tuple[str, str, str]]) -> list[Place]:
-    """The logs in folders with ``map.yaml`` and ``scans.npz``, and those of a map, file and start.
+def recorded(folders: Sequence[Path], logs: Sequence[tuple[str, str]]) -> list[Place]:
+    """The logs in folders with ``map.yaml`` and ``scans.npz``, and files, each with map and start.
 
-    The true poses of a log with a start are those of a filter that is told it.
+    ``MAP@X,Y,YAW`` has where a log begins; its true poses are those of a filter that is told so.
     """
     places = list[Place]()
     for folder in folders:
         features = prepare(load_map(folder / "map.yaml"), folder.name)
         places += [Place(name, features, scans) for name, scans in logs_of(folder)]
-    for map_, log, start in logs:
-        scans = load_scans(log)
-        base = true_poses(Path(map_), scans, Pose2D(*map(float, start.split(","))))
+    for log, (name, _, start) in ((log, begin.rpartition("@")) for log, begin in logs):
+        scans, path = load_scans(log).with_odometry(log)[0], Path(name)
+        base = true_poses(path, scans, Pose2D(*map(float, start.split(","))))
         mounts = [scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans]
         poses = compose_poses(base, np.array([[*mount] for mount in mounts]))
-        scans = with_odometry(replace(scans, poses=poses))[0]
-        places.append(Place(f"{Path(map_).stem} {Path(log).stem}", prepare(load_map(map_)), scans))
+        features = prepare(load_map(path), path.stem)
+        places.append(Place(Path(log).stem, features, replace(scans, poses=poses)))
     return places
 
 

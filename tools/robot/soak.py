@@ -24,8 +24,8 @@ from tools.robot.places import SIMULATED, Place, apart, gone_on, known, simulate
 from tools.robot.watch import NOISE, off, opinions
 
 _METRES, _ROUND = 300.0, 1800.0  # of a simulated drive; seconds of robots on it
-_ON = (15.0, 240.0)  # seconds until a robot is switched off, or carried off
-_BLIND = (2.0, 30.0)  # seconds
+# Seconds until a robot is switched off, or carried off; seconds that it is blind.
+_ON, _BLIND = (15.0, 240.0), (2.0, 30.0)
 _CARRIED, _DARK, _MOVED = 0.5, 0.5, 0.3  # chances: each time that it is on, and while it is off
 
 
@@ -99,14 +99,15 @@ def drive(
     return last and Kept(place.name, identity(place.features.grid), *last)
 
 
-def soak(seed: int, places: Sequence[Place] = ()) -> Iterator[Mapping[str, Soaked]]:
+def soak(seed: int, places: Sequence[Place] = ()) -> Iterator[dict[str, Soaked]]:
     """Robots without end, in each place in turn; what has become of them so far."""
     rows = dict[str, Soaked]()
     for k in itertools.count():
         if places:
             place = places[k % len(places)]
         else:
-            place = simulated(SIMULATED[k % len(SIMULATED)], _METRES, seed + 1000 * k, changed=True)
+            name = SIMULATED[k % len(SIMULATED)]
+            place = simulated(name, _METRES, seed + 1000 * k, changed=True, rate=1.0)
         so = rows.setdefault(place.name, Soaked())
         for _ in live(place, _ROUND, np.random.default_rng((seed, k)), so):
             yield rows
