@@ -144,7 +144,7 @@ def kill_loop(
         def begin(who: str) -> "subprocess.Popen[bytes]":
             if who == "node":
                 return spawned("imgloc", "node", "--sensor", sensor, environment=around)
-            words = ("play", map_path, log_path, "--first", rng.choice(firsts), "--stay", 1000)
+            words = ("play", map_path, log_path, "--first", rng.choice(firsts), "--times", 99)
             asking.append(spawned("tools.robot", "ask", REINITIALIZE, environment=around))
             return spawned("tools.robot", *words, "--write", played, environment=around)
 
