@@ -23,9 +23,10 @@ from imgloc.io.files import write_text_atomic
 from imgloc.model import LaserScan, Pose2D, to_json
 from imgloc.options import Every, Limits
 from imgloc.pipeline import prepare
-from tools.filters import INSIDE, WRONG, Run, Searches, drive, driven, piece
+from tools.filters import WRONG, Run, Searches, drive, driven, piece
 from tools.script import parser_of, progress, table_lines
 from tools.sequences import KeptSearches, load_log
+from tools.trust.precision import REGION
 
 BEFORE, AFTER, BACK = 8.0, 10.0, 5.0  # metres with sight before and after; to be found again within
 CARRIED = 10.0  # seconds that a robot is carried for
@@ -110,7 +111,7 @@ def counts_of(run: Run, blind: range, limits: Limits) -> dict[str, Any]:
         "late": (sure & wide).sum(), "dark": sure[blind.start : blind.stop].sum(),
         "moments": len(blind), "worst": run.error[sure, 0].max(initial=0.0),
         "found": run.right[back[-1:]], "published": run.right[back] * run.unique[back],
-        "inside": run.square[sure] <= INSIDE,
+        "inside": run.square[sure] <= REGION,
     }  # fmt: skip
 
 

@@ -1,26 +1,21 @@
 """A crowd that a service has to bear beside its clients: each member does one thing all the time.
 
-    python -m tools.crowd http://127.0.0.1:8080 --seconds 60
-
 Slow heads, half bodies, readers that do not read, robots that say nothing, bursts of connections,
 large bodies, large regions. `python -m tools.load --crowd 60` measures what others notice of it.
 """
 
-import argparse
 import contextlib
 import http.client
 import io
 import json
 import math
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
-from imgloc.errors import ConfigError
-from tools.script import ended, one_of, parser_of
+from tools.script import one_of
 
 Until = Callable[[], bool]  # whether the crowd goes home
 _SCAN = {"ranges": [2.0] * 90, "angle_min": -1.5, "angle_increment": 0.03}
@@ -170,25 +165,3 @@ class Crowd:
 def be_there(host: str, seconds: float, only: Sequence[str] = ()) -> None:
     """Be a crowd, in a process of its own."""
     Crowd(host).run(seconds, only)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code."""
-    parser = parser_of("python -m tools.crowd", __doc__)
-    parser.add_argument("address")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--only", default="", help="members, with commas between")
-    args: argparse.Namespace = parser.parse_args(arguments)
-
-    def work() -> int:
-        if not args.address.startswith("http://"):
-            raise ConfigError(f"address: got {args.address}, expected http://HOST:PORT")
-        words = [word for word in args.only.split(",") if word]
-        be_there(args.address.removeprefix("http://").rstrip("/"), args.seconds, words)
-        return 0
-
-    return ended("crowd", work)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

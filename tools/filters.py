@@ -25,16 +25,13 @@ from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import Share, share
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Every, Options
+from tools.trust.precision import REGION, TRUTH
 
-TRUTH = (0.03, float(np.deg2rad(0.4)))
-"""Standard deviations of the true poses of recorded logs themselves, metres and radians."""
 RIGHT = (0.5, float(np.deg2rad(10.0)))
 """A pose is right if it is within this, metres and radians."""
 AT = (0.0, 1.0, 2.0, 5.0, 10.0)  #: metres driven after which shares are reported
 WRONG = (1.0, RIGHT[1])
 """``unique`` and farther off than this, metres or radians, is confidently wrong."""
-INSIDE = 7.815
-"""Squared Mahalanobis distance within which 95 % of the true poses are: chi-square of 3."""
 ENM = (0.3, 20.0)  #: ENM-MCL: RMSE in metres, from so many seconds on
 F3LOC = (10, (1.0, 0.5, 0.3, 0.2))  #: F3Loc: the last frames, within so many metres
 CARRIED = (10.0, 3.0)  #: a kidnapping: metres driven before and after it, and at least in it
@@ -103,7 +100,7 @@ def drive(
     if truth is None:
         raise ConfigError("expected the true pose of each scan")
     begin, before, rows = time.process_time(), searches.clock, []
-    own = np.diag(np.square([TRUTH[0], TRUTH[0], TRUTH[1]]))
+    own = np.diag(np.square(TRUTH))
     for moment in follow(features, scans, make(), every=every, start=start):
         error, spread, square = (np.inf, np.inf), (np.inf, np.inf), np.inf
         if moment.best is not None:
@@ -342,7 +339,7 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
         metres=_median([float(run.metres[k]) for run, k in done]),
         rmse=tuple(np.sqrt(np.mean(np.square(whole), axis=0)).tolist()),
         inside=share(
-            bool(square <= INSIDE) for run in everything for square in run.square[run.unique > 0]
+            bool(square <= REGION) for run in everything for square in run.square[run.unique > 0]
         ),
         wrong=float(sum(span[b].sum() for span, b in zip(spans, bad, strict=True))),
         wrong_moments=int(sum(b.sum() for b in bad)),

@@ -40,6 +40,7 @@ from imgloc.numbers import number
 from imgloc.simulation.scans import ray_angles, sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import ended, parser_of, table_lines
+from tools.trust.disturb import dilated
 
 FINE, CELL = 0.02, 0.1  # metres: cells of a world, and of its map
 WORLD_NAMES = ("visibility", "curved", "large", "corridor")
@@ -59,15 +60,13 @@ def turned(
     cells = cell_of(at, grid.resolution)
     on = inside(cells, grid.info)
     r, c = np.where(on[:, None], cells, 0).T
-    occupied, free = ((on & image[r, c]).reshape(rows, columns) for image in _layers(grid))
+    occupied, free = (
+        (on & image[r, c]).reshape(rows, columns) for image in (grid.occupied, grid.free)
+    )
     x, y = (low @ R).tolist()
     corner = Pose2D(x, y, -theta)  # of the new image in the old
     made = OccupancyGrid(occupied, free, cell, origin)
     return made, compose(compose(grid.origin, corner), inverse(origin))
-
-
-def _layers(grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
-    return grid.occupied, grid.free
 
 
 def part(grid: OccupancyGrid, begin: float, end: float) -> OccupancyGrid:
@@ -81,13 +80,6 @@ def part(grid: OccupancyGrid, begin: float, end: float) -> OccupancyGrid:
     return OccupancyGrid(grid.occupied & kept, grid.free & kept, grid.resolution, grid.origin)
 
 
-def thicker(grid: OccupancyGrid, metres: float) -> OccupancyGrid:
-    """A map with walls that are thicker on each side."""
-    side = 2 * max(1, round(metres / grid.resolution)) + 1
-    walls = cv2.dilate(grid.occupied.view(np.uint8), np.ones((side, side), np.uint8)) > 0
-    return OccupancyGrid(walls, grid.free & ~walls, grid.resolution, grid.origin)
-
-
 def disturbed(
     grid: OccupancyGrid, rng: np.random.Generator
 ) -> Iterator[tuple[str, OccupancyGrid, OccupancyGrid, Pose2D]]:
@@ -97,7 +89,7 @@ def disturbed(
     yield "turned", grid, *turned(grid, rng.uniform(-np.pi, np.pi), coarse, origin)
     first, second = part(grid, 0, 0.65), part(grid, 0.35, 1)
     yield "parts", first, *turned(second, rng.uniform(-np.pi, np.pi), 1.3 * cell, origin)
-    thick = thicker(grid, 0.1)
+    thick = dilated(grid, rng, max(1, round(0.1 / cell)))
     yield "thick", grid, *turned(thick, rng.uniform(-np.pi, np.pi), cell, origin)
 
 
@@ -195,7 +187,7 @@ def recesses(
 def aged(name: str, seed: int, *, changed: bool) -> tuple[OccupancyGrid, OccupancyGrid]:
     """A world as it was and as it is, at 2 cm."""
     rng, world = np.random.default_rng(seed), render(WORLDS[name](), FINE)
-    occupied, free = (np.pad(image, round(2 / FINE)) for image in _layers(world))
+    occupied, free = (np.pad(image, round(2 / FINE)) for image in (world.occupied, world.free))
     count = (15, 10) if changed else (0, 0)
     before = boxes(~free, count[0], (0.3, 0.7), rng)
     after = boxes(~free | before, count[0], (0.3, 0.7), rng)
@@ -213,7 +205,7 @@ def coarse(grid: OccupancyGrid) -> OccupancyGrid:
     height, width = (n // k for n in grid.occupied.shape)
     shares = [
         image[: height * k, : width * k].reshape(height, k, width, k).mean(axis=(1, 3))
-        for image in _layers(grid)
+        for image in (grid.occupied, grid.free)
     ]
     known = shares[0] + shares[1] >= 0.5
     occupied = known & (shares[0] >= shares[1])

@@ -23,13 +23,14 @@ import numpy as np
 
 from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
 from imgloc.filters.belief import Filter
-from imgloc.filters.follow import robot_poses, with_odometry
+from imgloc.filters.follow import robot_poses
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.calibrate import fit_along
 from imgloc.model import Pose2D
 from imgloc.options import TOLERANCES, Chosen, Every, Shared
 from imgloc.pipeline import prepare
 from tools.filters import Run, Searches, drive, driven, from_starts
+from tools.recorded import logs_of
 from tools.script import at_least_one, ended, parser_of, table_lines
 
 RIGHT = 1.0  # metres
@@ -58,16 +59,6 @@ class Row:
         yield from (self.log, self.start, f"{near.mean():.2f}", f"{unique.mean():.2f}")
         yield f"{np.count_nonzero(unique & ~near)} of {len(near)}"
         yield f"{sum(found)} of {len(found)}"
-
-
-def logs_of(folder: Path) -> Iterator[tuple[str, ScanSet]]:
-    """The logs of a set, each with its name."""
-    scans = load_scans(folder / "scans.npz")
-    with np.load(folder / "scans.npz") as file:
-        number = file["log"] if "log" in file.files else np.zeros(len(scans), int)
-    for one in np.unique(number):
-        log = scans.take(np.flatnonzero(number == one).tolist())
-        yield f"{folder.name} {one}", with_odometry(log)[0]
 
 
 def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:

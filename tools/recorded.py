@@ -1,16 +1,41 @@
 """Scans with the true pose of each: recorded ones beside a map, simulated ones of a world."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from imgloc import ConfigError, ScanSet, load_map, load_scans
+import numpy as np
+
+from imgloc import ConfigError, Pose2D, ScanSet, load_map, load_scans
+from imgloc.filters.follow import with_odometry
 from imgloc.io.files import display
 from imgloc.model import OccupancyGrid
 from imgloc.options import Chosen, Sensor
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import at_least_one
+
+#: Where the sensor sits on the robot whose odometry was recorded, if that is known: of duke_loop5
+#: as odometry and poses agree best while it turns.
+MOUNTS = {"duke_loop5": Pose2D(0.32, 0.0, 0.0)}
+
+
+def scans_in(folder: Path) -> ScanSet:
+    """The scans of the sensor where it sits, in a folder with ``scans.npz``."""
+    scans, mount = load_scans(folder / "scans.npz"), MOUNTS.get(folder.name)
+    if mount is None:
+        return scans
+    return replace(scans, scans=tuple(replace(s, T_base_laser=mount) for s in scans.scans))
+
+
+def logs_of(folder: Path) -> Iterator[tuple[str, ScanSet]]:
+    """The logs of a folder with ``scans.npz``, with odometry, each with its name."""
+    scans = scans_in(folder)
+    with np.load(folder / "scans.npz") as file:
+        number = file["log"] if "log" in file.files else np.zeros(len(scans), int)
+    for one in np.unique(number):
+        log = scans.take(np.flatnonzero(number == one).tolist())
+        yield f"{folder.name} {one}", with_odometry(log)[0]
 
 
 def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:

@@ -5,8 +5,8 @@ it was recorded)::
 
     python -m tools.sequences ../data/fr079_half ../data/duke_loop5 --out sequences
 
-It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), the shares of right
-poses against metres driven (``recall.png``), and a track of each log over its map.
+It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), and a track of each
+log over its map.
 """
 
 import hashlib
@@ -25,16 +25,13 @@ from imgloc.filters.evidence import Places
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
-from imgloc.output.plots import blank
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, to_json
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
 from tools.filters import Searches, Trials, measure
+from tools.recorded import scans_in
 from tools.script import parser_of, progress, table_lines
 
-#: Where the sensor sits on the robot whose odometry was recorded, if that is known: of duke_loop5
-#: as odometry and poses agree best while it turns.
-MOUNTS = {"duke_loop5": Pose2D(0.32, 0.0, 0.0)}
 NEAR, VIEW, STOPPED = 5.0, float(np.deg2rad(90.0)), 0.3
 LAG = 0.4  # seconds
 _GRID_CELL = 0.2
@@ -145,11 +142,7 @@ class KeptSearches(Searches):
 
 def load_log(folder: Path, seed: int = 0) -> tuple[OccupancyGrid, ScanSet, str]:
     """A map, scans of the sensor where it sits, with odometry, and where that is from."""
-    scans = load_scans(folder / "scans.npz")
-    if (mount := MOUNTS.get(folder.name)) is not None:
-        mounted = tuple(replace(scan, T_base_laser=mount) for scan in scans.scans)
-        scans = replace(scans, scans=mounted)
-    return load_map(folder / "map.yaml"), *with_odometry(scans, seed)
+    return load_map(folder / "map.yaml"), *with_odometry(scans_in(folder), seed)
 
 
 def measure_log(
@@ -217,23 +210,6 @@ def _share(share: Mapping[str, Any]) -> str:
     return "-" if not share["trials"] else f"{share['value']:.2f}"
 
 
-def draw_recall(rows: Sequence[Mapping[str, Any]]) -> Picture:
-    """Share of right poses against metres driven: all logs together, a curve for each filter."""
-    figure, pixels = blank(7, 4, dpi=120, layout="constrained")
-    axes = figure.add_subplot()
-    for name in dict.fromkeys(row["filter"] for row in rows):
-        mine = [row for row in rows if row["filter"] == name]
-        metres = list(mine[0]["right"])
-        hits = [sum(row["right"][m]["hits"] for row in mine) for m in metres]
-        trials = [max(1, sum(row["right"][m]["trials"] for row in mine)) for m in metres]
-        shares = np.array(hits) / np.array(trials)
-        axes.plot([float(m) for m in metres], shares, marker="o", label=name)
-    axes.set(xlabel="metres driven", ylabel="share of right poses", ylim=(0, 1.02))
-    axes.legend(fontsize=8)
-    axes.grid(alpha=0.3)
-    return Picture(pixels())
-
-
 def draw_log(folder: Path) -> Picture:
     """The track of a log over its map."""
     grid, scans, _ = load_log(folder)
@@ -271,7 +247,6 @@ def main() -> None:
                     lines = "".join(to_json(r) + "\n" for r in rows)
                     write_text_atomic(given.out / "sequences.jsonl", lines, force=True)
                     write_text_atomic(given.out / "sequences.md", page(rows, trials), force=True)
-        draw_recall(rows).save(given.out / "recall.png", force=True)
         print((given.out / "sequences.md").read_text())
     for folder in given.folders:
         draw_log(folder).save(given.out / f"track-{folder.name}.png", force=True)

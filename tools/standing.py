@@ -20,12 +20,13 @@ from imgloc import LaserScan, MapFeatures, Options, Pose2D, localize, prepare
 from imgloc.features.distance import distance_image
 from imgloc.filters.follow import Tracking
 from imgloc.filters.motion import noisy_odometry
-from imgloc.geometry import pose_errors
 from imgloc.live.policy import alone
 from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.drive import path_between
+from tools.robot.kill import NEAR
+from tools.robot.places import apart
 from tools.script import at_least_one, parser_of, progress, table_lines
 from tools.trust.disturb import furnished
 
@@ -33,7 +34,6 @@ WORLDS_ASKED = ("corridor", "double_wall", "visibility", "curved")
 _ANGLES = np.deg2rad(np.arange(-135, 135.5, 1.0))
 REACH, NOISE, MISSING = 6.0, 0.02, 0.02  # metres, metres, share of readings without a return
 TRIES, TURN, WAY, STEP = 100, 36, 6.0, 0.1  # looks, looks, metres, metres
-WRONG = (0.5, 10.0)  # metres, degrees
 _DRAWN = 40  # poses that are tried for each that counts
 
 
@@ -54,10 +54,7 @@ class Outcome:
 
 def wrong(pose: Pose2D | None, truth: FloatArray) -> bool:
     """Whether a pose is off by more than half a metre or 10 degrees."""
-    if pose is None:
-        return False
-    metres, radians = pose_errors(np.array([[pose.x, pose.y, pose.theta]]), Pose2D(*truth))[0]
-    return bool(metres > WRONG[0] or np.rad2deg(radians) > WRONG[1])
+    return pose is not None and apart(pose, truth, NEAR)
 
 
 def seen(grid: OccupancyGrid, poses: FloatArray, seed: int) -> list[LaserScan]:

@@ -28,7 +28,7 @@ from imgloc.io.own import parse_json
 from imgloc.live.policy import alone
 from imgloc.model import Localization, OccupancyGrid, Pose2D, base_of
 
-RESTORED, MOVED, REFUSED = "restored", "moved", "refused"
+RESTORED, MOVED, REFUSED = OUTCOMES = ("restored", "moved", "refused")
 _PLACE = {"x": float, "y": float, "theta": float}
 _KIND: dict[str, Any] = {"map": str, "identity": str, "pose": _PLACE, "stamp": float}
 _MOST = 1 << 16  # bytes

@@ -26,7 +26,6 @@ from tools.trust.fit import (
     numbers_of,
     trust_of,
 )
-from tools.trust.scale import scale_rows, scale_table
 
 
 def made(n=1200, seed=0):
@@ -204,13 +203,3 @@ def test_the_tool_prints_constants_and_a_table(capsys):
     assert numbers["buildings"] == {"curved": sum(numbers["cases"].values())}
     assert "| people | 1 |" in text[end:]
     assert main(["fit", "-n", "0"]) == 2
-
-
-def test_calibration_by_scans_makes_a_map_of_a_wrong_scale_good_again():
-    grid = render(WORLDS["curved"](), 0.1)
-    scans = simulate(grid, 6, 3)
-    known, asked = scans.take(range(5)), scans.take([5])
-    (row,) = scale_rows("curved", grid, known, asked, [1.1])
-    assert row.found == pytest.approx(1.1, rel=0.01)
-    assert row.undisturbed == row.after == 1.0
-    assert scale_table([row]).splitlines()[-1].count("|") == 9

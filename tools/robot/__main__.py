@@ -7,11 +7,15 @@
     python -m tools.robot walk configure         # a transition of a node with --lifecycle
     python -m tools.robot restart -n 3000        # a remembered pose, checked by one scan
     python -m tools.robot watch -n 600           # twelve faults of another localizer, and none
+    python -m tools.robot soak --hours 24        # drives, people, kidnappings, blindness, restarts
     python -m tools.robot kill LOG MAP X,Y,YAW   # kills node or player at random moments
 
 Other machines hear nothing of it, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set: a played /map and
 /scan must not reach a real robot. A node in another terminal needs the same:
 export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, for Humble ROS_LOCALHOST_ONLY=1.
+
+`restart`, `watch` and `soak` take the folders of recorded logs, too, instead of bundled worlds.
+They say how far they got if they are stopped after --seconds.
 
 `kill` prints a JSON object; its exit code is 1 if a pose was wrong, of another scan or stale. It
 follows the log from X,Y,YAW, where the robot was at its beginning: these poses are the true ones.
@@ -26,21 +30,24 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans
 from imgloc.io.maps import bundled_maps
 from imgloc.live.node import load_ros
+from tools.load import resident
 from tools.robot import restart as restarts
-from tools.robot.kill import kill_loop
+from tools.robot import soak as soaks
+from tools.robot import watch as watches
+from tools.robot.kill import REINITIALIZE, kill_loop
 from tools.robot.listen import Listener
+from tools.robot.places import recorded
 from tools.robot.play import DISTURBED, FROZEN, WORLD, Player, Playing, to_and_fro, write_to
-from tools.robot.watch import Noticed, faults, healthy, rows_of
 from tools.script import at_least_one, ended, parser_of, table_lines
 
-REINITIALIZE = "reinitialize_global_localization"
+T = TypeVar("T")
 TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 """Of lifecycle_msgs/Transition."""
 _TURN = 0.1  # seconds from Ctrl-C to the end at most
@@ -49,12 +56,10 @@ _TURN = 0.1  # seconds from Ctrl-C to the end at most
 def main() -> int:
     """Parse the command line and do what it says."""
     parser = parser_of("tools.robot", __doc__)
-    commands = parser.add_subparsers(required=True)
+    commands = parser.add_subparsers(required=True, dest="command")
     named = {"play": _play, "listen": _listen, "ask": _ask, "walk": _walk,
-             "restart": _restart, "watch": _watch, "kill": _kill}  # fmt: skip
-    play, listen, ask, walk, restart, watch, kill = (
-        _command(commands, *one) for one in named.items()
-    )
+             "restart": _restart, "watch": _watch, "soak": _soak, "kill": _kill}  # fmt: skip
+    play, listen, ask, walk, restart, watch, soaking, kill = map(commands.add_parser, named)
     play.add_argument("map", nargs="?", type=Path)
     play.add_argument("log", nargs="?", type=Path)
     play.add_argument("--free-thresh", type=float, help="of the map")
@@ -78,13 +83,16 @@ def main() -> int:
     listen.add_argument("--write", type=Path, help="JSONL, instead of standard output")
     ask.add_argument("service", choices=("localize", "reset", REINITIALIZE))
     walk.add_argument("transition", choices=TRANSITIONS)
+    for one in (restart, watch, soaking):
+        one.add_argument("folders", nargs="*", type=Path, help="with map.yaml and scans.npz")
+        one.add_argument("--log", nargs=2, action="append", default=[],
+                         metavar=("LOG", "MAP@X,Y,YAW"), help="and where it begins")  # fmt: skip
+        one.add_argument("--seed", type=int, default=0)
+        one.add_argument("--seconds", type=float, default=math.inf, help="to stop after")
     restart.add_argument("-n", type=int, default=3000, help="starts (default: %(default)s)")
-    restart.add_argument("--seed", type=int, default=0)
-    restart.add_argument("--seconds", type=float, default=math.inf, help="to stop after")
     watch.add_argument("-n", type=int, default=600, help="drives (default: %(default)s)")
     watch.add_argument("--hours", type=float, default=0.0, help="of drives without a fault")
-    watch.add_argument("--seed", type=int, default=0)
-    watch.add_argument("--seconds", type=float, default=math.inf, help="to stop after")
+    soaking.add_argument("--hours", type=float, default=24.0, help="(default: %(default)s)")
     kill.add_argument("log", type=Path)
     kill.add_argument("map", type=Path)
     kill.add_argument("start")
@@ -94,14 +102,8 @@ def main() -> int:
     given = parser.parse_args()
     _stay_here()
     with contextlib.suppress(KeyboardInterrupt):
-        return ended("tools.robot", lambda: given.work(given))
+        return ended("tools.robot", lambda: named[given.command](given))
     return 130
-
-
-def _command(commands: Any, name: str, work: Callable[[Any], int]) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = commands.add_parser(name)
-    parser.set_defaults(work=work)
-    return parser
 
 
 def _stay_here() -> None:
@@ -195,34 +197,43 @@ def _call(ros: Any, node: Any, kind: Any, name: str, request: Any) -> tuple[Any,
 
 def _restart(given: argparse.Namespace) -> int:
     at_least_one(n=given.n)
-    every, until = list[restarts.Start](), time.monotonic() + given.seconds
-    for one in restarts.starts(given.n, given.seed):
-        every.append(one)
-        if time.monotonic() > until:
-            break
-    head = "case | starts | restored | moved | refused | wrong | median ms | most ms"
-    print(*table_lines(head, restarts.rows_of(every)), sep="\n")
+    places = recorded(given.folders, given.log)
+    every = list(_until(given, restarts.starts(given.n, given.seed, places)))
+    print(*table_lines(restarts.HEAD, restarts.rows_of(every)), sep="\n")
     return int(any(one.wrong for one in every))
 
 
-def _watch(given: argparse.Namespace) -> int:
-    until, every, hours = time.monotonic() + given.seconds, list[Noticed](), 0.0
-    said = Counter[str]()
-    for one in faults(given.n, given.seed):
-        every.append(one)
+def _until(given: argparse.Namespace, some: Iterable[T]) -> Iterator[T]:
+    """What there is until the time is over."""
+    until = time.monotonic() + given.seconds
+    for one in some:
+        yield one
         if time.monotonic() > until:
+            return
+
+
+def _watch(given: argparse.Namespace) -> int:
+    places, hours, said = recorded(given.folders, given.log), 0.0, Counter[str]()
+    every = list(_until(given, watches.faults(given.n, given.seed, places)))
+    print(*table_lines(watches.HEAD, watches.rows_of(every)), sep="\n", flush=True)
+    healthy = watches.healthy(100.0, given.seed, places) if given.hours else ()
+    for some, counts in _until(given, healthy):
+        hours, said = hours + some, said + counts
+        if hours >= given.hours:
             break
-    drives = healthy(100.0, given.seed)
-    while hours < given.hours and time.monotonic() < until:
-        some, counts = next(drives)
-        hours, said = hours + some, said + Counter(counts)
-    head = (
-        "fault | drives | agreed before | within 5 s or 2 m | median s | most s | "
-        "own pose right | false before"
-    )
-    print(*table_lines(head, rows_of(every)), sep="\n")
     print(f"{hours:.2f} h without a fault: {json.dumps(said)}")
     return 0
+
+
+def _soak(given: argparse.Namespace) -> int:
+    rows, held = dict[str, soaks.Soaked](), list[float]()
+    for rows in _until(given, soaks.soak(given.seed, recorded(given.folders, given.log))):
+        held.append(resident(os.getpid()))
+        if sum(so.sums["seconds"] for so in rows.values()) >= 3600 * given.hours:
+            break
+    print(*table_lines(soaks.HEAD, soaks.rows_of(rows)), sep="\n")
+    print(f"{held[0]:.0f} MiB after the first time that one was on, {max(held):.0f} at most")
+    return int(any(so.sums["wrong"] or so.sums["restored wrong"] for so in rows.values()))
 
 
 def _kill(given: argparse.Namespace) -> int:

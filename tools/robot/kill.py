@@ -23,6 +23,9 @@ from imgloc.model import FloatArray
 
 NEAR = (0.5, math.radians(10.0))
 """A pose that is farther from the true one is wrong: metres, radians."""
+WAY = 1.5
+"""Metres of driving that confirm a pose."""
+REINITIALIZE = "reinitialize_global_localization"
 _DELIVERED = 0.5  # seconds more that a busy machine takes to deliver it
 
 
@@ -80,7 +83,9 @@ def true_poses(map_path: Path, log: ScanSet, start: Pose2D) -> FloatArray:
     features = prepare(load_map(map_path))
     chosen = make_filter("tracker", features, Options())
     moments = follow(features, log, chosen, start=start, deviation=(0.3, 0.1))
-    return np.array([(m.best.x, m.best.y, m.best.theta) for m in moments if m.best is not None])
+    found = np.array([(m.index, *m.best) for m in moments if m.best is not None])
+    # Scans without odometry are left out; each of them stands for the next one that is not.
+    return found[np.searchsorted(found[:, 0], np.arange(len(log))).clip(max=len(found) - 1), 1:]
 
 
 def lines_of(path: Path) -> list[dict[str, Any]]:
@@ -112,29 +117,44 @@ def judged(told: Told, heard: Sequence[Mapping[str, Any]], played: Sequence[Mapp
     return told
 
 
+def soonest(truth: FloatArray) -> list[int]:
+    """The scans of the first half of a log after which the robot drives :data:`WAY` sooner."""
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))))
+    half = len(truth) // 2
+    scans = np.searchsorted(way, way[:half] + WAY) - np.arange(half)
+    return [int(k) for k in np.argsort(scans, kind="stable")[: max(1, half // 2)]]
+
+
 def kill_loop(
     map_path: Path, log_path: Path, start: Pose2D, n: int, seed: int, longest: float
 ) -> Told:
-    """Kill node or player `n` times, at most `longest` seconds apart; the other one goes on."""
+    """Kill node or player `n` times, at most `longest` seconds apart; the other one goes on.
+
+    Three times of four a pose is waited for before, three times as long at most. When a player
+    begins, the node is asked to begin anew, as a behaviour tree asks it.
+    """
     log, rng, around = load_scans(log_path), random.Random(seed), environment()  # noqa: S311
     truth = true_poses(map_path, log, start)
-    mount = log[0].T_base_laser or Pose2D(0.0, 0.0)
+    mount, firsts = log[0].T_base_laser or Pose2D(0.0, 0.0), soonest(truth)
     sensor = f"{mount.x},{mount.y},{mount.theta}"
-    told = Told(kills={"node": 0, "player": 0})
+    told, asking = Told(kills={"node": 0, "player": 0}), list["subprocess.Popen[bytes]"]()
     with TemporaryDirectory() as folder:
         played, heard = Path(folder, "played"), Path(folder, "heard")
 
         def begin(who: str) -> "subprocess.Popen[bytes]":
             if who == "node":
                 return spawned("imgloc", "node", "--sensor", sensor, environment=around)
-            first = rng.randrange(len(log) // 2)
-            words = ("play", map_path, log_path, "--first", first, "--stay", 1000)
+            words = ("play", map_path, log_path, "--first", rng.choice(firsts), "--times", 99)
+            asking.append(spawned("tools.robot", "ask", REINITIALIZE, environment=around))
             return spawned("tools.robot", *words, "--write", played, environment=around)
 
         listener = spawned("tools.robot", "listen", "--write", heard, environment=around)
         running = {who: begin(who) for who in ("node", "player")}
-        with ending([listener]), ending(running.values()):
-            for _ in range(n):
+        with ending([listener]), ending(running.values()), ending(asking):
+            for k in range(n):
+                before, until = len(lines_of(heard)), time.monotonic() + 3 * longest
+                while k % 4 and len(lines_of(heard)) == before and time.monotonic() < until:
+                    time.sleep(0.1)
                 time.sleep(rng.uniform(0.5, longest))
                 who = rng.choice(("node", "player"))
                 running[who].send_signal(signal.SIGKILL)

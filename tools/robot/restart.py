@@ -5,18 +5,18 @@ Each start is a robot in a bundled world that remembers a pose, and one scan, as
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imgloc import LaserScan, MapFeatures, Options, Pose2D, localize, prepare
-from imgloc.geometry import pose_errors
-from imgloc.live.remember import Kept, checked, identity
-from imgloc.model import FloatArray, OccupancyGrid
+from imgloc.geometry import cell_of, pose_errors
+from imgloc.live.remember import OUTCOMES, Kept, checked, identity
+from imgloc.model import BoolArray, FloatArray, OccupancyGrid
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 from tools.robot.kill import NEAR
+from tools.robot.places import Place, apart, known, world
 from tools.trust.disturb import dilated, furnished, half, people
 
 CASES = {
@@ -31,6 +31,7 @@ CASES = {
     "elsewhere": "it is in another world, and the map is still that of the first one",
 }
 """What has happened while it was off."""
+STAYED, MOVED = (0.2, 0.1), 3.0  # metres and radians, metres: of scans of a log
 _WORLDS = ("corridor", "double_wall", "visibility", "curved")
 _LASERS = (
     (np.deg2rad(np.arange(-180, 180, 1.0)), 12.0),
@@ -45,7 +46,7 @@ class Start:
     case: str
     said: str  #: restored, moved or refused
     wrong: bool  #: whether it was told a pose that is not where it is
-    seconds: float  #: from the scan to the answer
+    seconds: float  #: of a processor, from the scan to the answer
 
 
 def _scan(grid: OccupancyGrid, pose: FloatArray, laser: int, seed: int) -> LaserScan:
@@ -54,66 +55,94 @@ def _scan(grid: OccupancyGrid, pose: FloatArray, laser: int, seed: int) -> Laser
     return LaserScan(ranges, angles, range_max=reach, T_base_laser=Pose2D(0.0, 0.0))
 
 
-def starts(n: int, seed: int) -> Iterator[Start]:
-    """So many starts, the cases and worlds in turn."""
-    known = {name: prepare(render(WORLDS[name](), 0.05), name) for name in _WORLDS}
-    drawn = {name: prepare(dilated(f.grid, np.random.default_rng(0)), name)
-             for name, f in known.items()}  # fmt: skip
-    options = Options(threads=1)
+def starts(n: int, seed: int, places: Sequence[Place] = ()) -> Iterator[Start]:
+    """So many starts, the cases and places in turn; by default in bundled worlds."""
     for k in range(n):
+        case, turn = list(CASES)[k % len(CASES)], k // len(CASES)
         rng = np.random.default_rng((seed, k))
-        case, name = list(CASES)[k % len(CASES)], _WORLDS[(k // len(CASES)) % len(_WORLDS)]
-        laser = int(rng.integers(2))
-        features, world = known[name], known[name].grid
-        here = sample_free_poses(world, 1, seed=2 * (seed + k))[0]
-        kept = Kept(name, identity(world), Pose2D(*here), 0.0)
-        truth = here + rng.uniform(-1, 1, 3) * (0.14, 0.14, 0.1)
-        if not _free(world, truth):
-            truth = here
-        if case == "map redrawn":
-            features = drawn[name]
-        if case == "half a map":
-            features = prepare(half(world, rng), name)
-        if case in ("moved", "moved, changed", "half a map"):
-            truth = sample_free_poses(world, 1, seed=2 * (seed + k) + 1)[0]
-        if case in ("stayed, changed", "moved, changed"):
-            world = furnished(world, rng)
-            if not _free(world, truth):
-                continue
-        if case == "elsewhere":
-            world = known[_WORLDS[(_WORLDS.index(name) + 1 + k % 3) % 4]].grid
-            truth = sample_free_poses(world, 1, seed=2 * (seed + k) + 1)[0]
-        if case == "twin":
-            fits = localize(features, _scan(world, here, laser, k), options).hypotheses
-            if len(fits) < 2 or not _free(world, at := np.array([*fits[1].pose])):
-                continue
-            truth = at
-        scan = _scan(world, truth, laser, seed + k)
+        found = _in_log(case, places, turn, rng) if places else _in_world(case, turn, seed + k, rng)
+        if found is None:
+            continue
+        features, here, scan, truth = found
+        grid = features.grid
+        kept = Kept("map", identity(grid), Pose2D(*here), 0.0)
+        if case in ("map redrawn", "half a map"):
+            change = dilated if case == "map redrawn" else half
+            features = prepare(change(grid, rng))
         if case == "stayed, people":
             scan = people(scan, rng)
-        yield _started(case, features, kept, scan, None if case == "elsewhere" else truth)
+        yield _started(case, features, kept, scan, truth)
+
+
+#: The map as it was, the pose that is remembered, a scan, and where it was taken, if on the map.
+_Found = tuple[MapFeatures, FloatArray, LaserScan, FloatArray | None]
+
+
+def _in_log(
+    case: str, places: Sequence[Place], turn: int, rng: np.random.Generator
+) -> _Found | None:
+    """A start at a scan of a recorded log; nobody can change its building."""
+    place = at = places[turn % len(places)]
+    truth, features = known(place.log)[0], place.features
+    here = truth[rng.integers(len(truth))]
+    off = pose_errors(truth, Pose2D(*here))
+    some: BoolArray = off[:, 0] >= MOVED
+    if case == "elsewhere":
+        others = [p for p in places if p.features is not features] or [place]
+        at = others[int(rng.integers(len(others)))]
+        some = np.full(len(at.log), at is not place)
+    elif case in ("stayed", "stayed, people", "map redrawn"):
+        some = np.asarray((off <= STAYED).all(axis=1))
+    if not some.any() or case in ("stayed, changed", "moved, changed", "twin"):
+        return None
+    then = int(rng.choice(np.flatnonzero(some)))
+    return features, here, at.log[then], truth[then] if at is place else None
+
+
+def _in_world(case: str, turn: int, seed: int, rng: np.random.Generator) -> _Found | None:
+    """A start in a bundled world."""
+    which, laser = turn % len(_WORLDS), int(rng.integers(2))
+    features = world(_WORLDS[which])
+    there = features.grid
+    here = sample_free_poses(there, 1, seed=2 * seed)[0]
+    truth = here + rng.uniform(-1, 1, 3) * (0.14, 0.14, 0.1)
+    if not _free(there, truth):
+        truth = here
+    if case == "elsewhere":
+        there = world(_WORLDS[(which + int(rng.integers(1, 4))) % 4]).grid
+    if case in ("moved", "moved, changed", "half a map", "elsewhere"):
+        truth = sample_free_poses(there, 1, seed=2 * seed + 1)[0]
+    if case in ("stayed, changed", "moved, changed"):
+        there = furnished(there, rng)
+    if case == "twin":
+        fits = localize(features, _scan(there, here, laser, seed), Options(threads=1)).hypotheses
+        if len(fits) < 2:
+            return None
+        truth = np.array([*fits[1].pose])
+    if not _free(there, truth):
+        return None
+    scan = _scan(there, truth, laser, seed)
+    return features, here, scan, None if case == "elsewhere" else truth
 
 
 def _started(
     case: str, features: MapFeatures, kept: Kept, scan: LaserScan, truth: FloatArray | None
 ) -> Start:
-    begin = time.perf_counter()
+    begin = time.process_time()
     answer = localize(features, scan, Options(threads=1))
     said, pose = checked(kept, answer, identity(features.grid))
-    seconds, wrong = time.perf_counter() - begin, False
-    if pose is not None:
-        wrong = truth is None  # and published, if it is restored or the node has --standing
-        if truth is not None:
-            errors = pose_errors(np.array([[*pose]]), Pose2D(*truth))[0]
-            wrong = bool((errors > NEAR).any())
+    seconds = time.process_time() - begin
+    # And published, if it is restored or the node has --standing.
+    wrong = pose is not None and (truth is None or apart(pose, truth, NEAR))
     return Start(case, said, wrong, seconds)
 
 
 def _free(grid: OccupancyGrid, pose: FloatArray) -> bool:
     """Whether a robot can be there."""
-    row, column = np.floor(pose[1::-1] / grid.resolution).astype(int)
-    height, width = grid.free.shape
-    return 0 <= row < height and 0 <= column < width and bool(grid.free[row, column])
+    return bool(grid.free[tuple(cell_of(pose[None, :2], grid.resolution)[0])])
+
+
+HEAD = "case | starts | restored | moved | refused | wrong | median ms | most ms"
 
 
 def rows_of(every: list[Start]) -> Iterator[tuple[object, ...]]:
@@ -122,6 +151,6 @@ def rows_of(every: list[Start]) -> Iterator[tuple[object, ...]]:
         some = [one for one in every if case in (one.case, "all")]
         if some:
             took = 1e3 * np.array([one.seconds for one in some])
-            counts = [sum(one.said == s for one in some) for s in ("restored", "moved", "refused")]
+            counts = [sum(one.said == s for one in some) for s in OUTCOMES]
             wrong = sum(one.wrong for one in some)
             yield case, len(some), *counts, wrong, f"{np.median(took):.0f}", f"{took.max():.0f}"

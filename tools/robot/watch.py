@@ -1,25 +1,26 @@
 """How soon a localizer's faults are noticed, and how often one is seen that is none.
 
-A robot drives in a bundled world, and a localizer gives its poses with 3 cm and 1 degree of noise.
-After some way it goes wrong. The opinion is that of ``imgloc node --watch`` of each scan.
+A robot drives in a bundled world or along a recorded log, and a localizer gives its poses with 3 cm
+and 1 degree of noise. After some way it goes wrong. The opinion is that of ``imgloc node --watch``
+of each scan.
 """
 
-from collections.abc import Iterator
+import itertools
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from imgloc import LaserScan, MapFeatures, Options, Pose2D, localize, prepare
-from imgloc.features.distance import distance_image
-from imgloc.filters.follow import Tracking
-from imgloc.filters.motion import compose_poses, invert_poses, noisy_odometry
-from imgloc.filters.watch import DISAGREES, Watch
-from imgloc.model import FloatArray, OccupancyGrid
-from imgloc.simulation.scans import sample_free_poses, simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
-from tools.drive import path_between
-from tools.trust.disturb import furnished, people
+from imgloc import LaserScan, MapFeatures, Options, Pose2D, ScanSet, localize
+from imgloc.filters.follow import Moment, Tracking
+from imgloc.filters.motion import compose_poses
+from imgloc.filters.watch import AGREES, DISAGREES, Opinion, Watch
+from imgloc.geometry import transform_poses, wrap
+from imgloc.model import BoolArray, FloatArray, base_of
+from tools.filters import piece
+from tools.robot.places import SIMULATED, Place, both, gone_on, known, simulated
 
 FAULTS = {
     "carried off": "the robot is set down elsewhere; the localizer goes on from where it was",
@@ -35,21 +36,12 @@ FAULTS = {
     "wrong scale": "its map is a tenth too large",
     "covariance collapsed": "it is 1.2 m off, and says that it is sure to a millimetre",
 }
-_WORLDS = ("curved", "double_wall", "large")
-_ANGLES = np.deg2rad(np.arange(-135, 135.5, 1.0))
-_RATE, _SPEED, _REACH = 4.0, 0.5, 10.0  # scans a second, metres a second, metres
 _BEFORE, _AFTER = 10.0, 12.0  # seconds
-_ROOM = 0.35  # metres from a wall
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A drive, and the poses that the localizer gives along it."""
-
-    truth: FloatArray  #: (N, 3)
-    odom: FloatArray  #: (N, 3)
-    claims: FloatArray  #: (N, 3)
-    scans: list[LaserScan]
+_DRIVEN = 60.0  # metres of a simulated drive, of which faults are pieces
+NOISE = (0.03, 0.03, float(np.deg2rad(1.0)))
+"""Standard deviations of the poses of a localizer that is right."""
+OFF = (1.0, float(np.deg2rad(20.0)))
+"""Metres and radians beyond which a localizer is wrong."""
 
 
 @dataclass(frozen=True)
@@ -58,161 +50,169 @@ class Noticed:
 
     fault: str
     sure: bool  #: whether the poses were agreed with before
-    seconds: float  #: from where the pose is off by a metre, or 20 degrees; infinite if never
+    seconds: float  #: from where the pose is wrong, see :data:`OFF`; infinite if never
     metres: float
     pose_right: bool  #: whether the pose that imgloc gives then is within half a metre
     false: int  #: times that it disagreed before the fault
 
 
-def route(grid: OccupancyGrid, metres: float, seed: int) -> FloatArray:
-    """Poses (N, 3) of a drive through free places, a scan's time apart."""
-    room = distance_image(grid.occupied) * grid.resolution
-    clear, done = replace(grid, free=grid.free & (room > _ROOM)), list[FloatArray]()
-    step, there = _SPEED / _RATE, sample_free_poses(clear, 1, seed=seed)[0]
-    while sum(map(len, done)) * step < metres:
-        seed += 1
-        goal = sample_free_poses(clear, 1, seed=seed)[0]
-        if not 3 < np.hypot(*(goal - there)[:2]) < 60:
-            continue
-        try:
-            path = path_between(clear, np.array([there[:2], goal[:2]]), step)
-        except ValueError:
-            continue
-        cells = np.floor((path[:, 1::-1] - [grid.origin.y, grid.origin.x]) / grid.resolution)
-        if len(path) < 3 or not grid.free[tuple(cells.astype(int).T)].all():
-            continue
-        done.append(path)
-        there = path[-1]
-    return np.concatenate(done)[: round(metres / step)]
+def off(claims: FloatArray, truth: FloatArray) -> BoolArray:
+    """Whether each of the poses (N, 3) is wrong; any is where the robot is not on the map."""
+    apart = np.hypot(*(claims - truth)[:, :2].T), np.abs(wrap(claims[:, 2] - truth[:, 2]))
+    return np.asarray(~((apart[0] <= OFF[0]) & (apart[1] <= OFF[1])))
 
 
-def scans_of(world: OccupancyGrid, poses: FloatArray, rng: np.random.Generator) -> list[LaserScan]:
-    """What the laser sees at poses (N, 3); people walk by at one scan of ten."""
-    seed = int(rng.integers(1 << 30))
-    ranges = simulate_ranges(world, poses, _ANGLES, sigma=0.02, seed=seed, range_max=_REACH)
-    base = Pose2D(0.0, 0.0)
-    found = [LaserScan(r, _ANGLES, range_max=_REACH, T_base_laser=base) for r in ranges]
-    return [people(s, rng, 4) if rng.random() < 0.1 else s for s in found]
+def spoiled(
+    place: Place, other: Place | None, fault: str, rng: np.random.Generator
+) -> tuple[ScanSet, FloatArray, FloatArray, int] | None:
+    """A piece of a log, its true poses, those that a localizer gives, and where a fault begins.
 
-
-def drive_of(features: MapFeatures, other: OccupancyGrid, fault: str, seed: int) -> Drive:
-    """A drive in a world with a fault from :data:`_BEFORE` seconds on."""
-    rng, grid = np.random.default_rng(seed), features.grid
-    n, k = round((_BEFORE + _AFTER) * _RATE), round(_BEFORE * _RATE)
-    truth = route(grid, n * _SPEED / _RATE, 100 * seed)
-    odom = noisy_odometry(truth, rng)
-    claims, scans = truth.copy(), list[LaserScan]()
-    after, at = truth[k:], truth[k]
-
-    def from_there(pose: FloatArray) -> FloatArray:
-        """The way after the fault as from another pose."""
-        return compose_poses(pose, compose_poses(invert_poses(at), after))
-
-    if fault == "carried off":
-        elsewhere = route(grid, (n - k) * _SPEED / _RATE, 100 * seed + 50)
-        began = noisy_odometry(elsewhere, rng)
-        odom[k:] = compose_poses(odom[k], compose_poses(invert_poses(began[0]), began))
-        claims[k:] = compose_poses(at, compose_poses(invert_poses(elsewhere[0]), elsewhere))
-        truth[k:] = elsewhere
-        scans = scans_of(grid, truth, rng)
-    elif fault == "wrong floor":
-        upstairs = route(other, (n - k) * _SPEED / _RATE, 100 * seed + 50)
-        began = noisy_odometry(upstairs, rng)
-        odom[k:] = compose_poses(odom[k], compose_poses(invert_poses(began[0]), began))
-        claims[k:] = compose_poses(at, compose_poses(invert_poses(upstairs[0]), upstairs))
-        scans = scans_of(grid, truth[:k], rng) + scans_of(other, upstairs, rng)
-        truth[k:] = np.nan  # it is nowhere on the map
-    else:
-        scans = scans_of(grid, truth, rng)
+    None if the log has no such piece.
+    """
+    begin = place.start(_BEFORE + _AFTER, rng)
+    there = {"carried off": place, "wrong floor": other}.get(fault)
+    if begin is None or (fault == "wrong floor" and there is None):
+        return None
+    k, end = place.after(begin, _BEFORE), place.after(begin, _BEFORE + _AFTER)
+    log, parts = place.log, [range(begin, end)]
+    if there is not None:
+        away = known(place.log)[0][k] if there is place else None
+        first = there.start(_AFTER, rng, away)
+        if first is None:
+            return None
+        n, last = len(log), there.after(first, _AFTER)
+        log, parts = both(log, there.log), [range(begin, k), range(n + first, n + last)]
+    log, k = piece(log, *parts), k - begin
+    poses, stamps, _ = known(log)
+    truth, claims, after, at = poses.copy(), poses.copy(), poses[k:], poses[k]
     angle = rng.uniform(-np.pi, np.pi)
     side = np.array([np.cos(angle), np.sin(angle), 0.0])
+    begun = {  # from where it goes on
+        "next bay": at + 3.0 * side, "jumped": at + rng.uniform(1.5, 5.0) * side,
+        "heading by 180": at + (0.0, 0.0, np.pi), "covariance collapsed": at + 1.2 * side,
+    }.get(fault)  # fmt: skip
+    if there is not None:
+        begun, truth[k:] = poses[k - 1], after if there is place else np.nan
     if fault == "symmetric twin":
-        fits = localize(features, scans[k], Options(threads=1)).hypotheses
-        far = [f.pose for f in fits if np.hypot(f.pose.x - at[0], f.pose.y - at[1]) > 1]
-        size = np.array(grid.occupied.shape[::-1]) * grid.resolution
-        turned = np.array([*(size - at[:2]), at[2] + np.pi])
-        claims[k:] = from_there(np.array([*far[0]]) if far else turned)
-    elif fault == "next bay":
-        claims[k:] = from_there(at + 3.0 * side)
+        begun = _twin(place.features, log[k], at)
+    if begun is not None:
+        claims[k:] = gone_on(begun, after)
     elif fault == "slow drift":
-        claims[k:] += np.arange(n - k)[:, None] * _SPEED / _RATE * 0.2 * side
+        way = np.cumsum(np.hypot(*np.diff(after[:, :2], axis=0, prepend=at[None, :2]).T))
+        claims[k:] += 0.2 * way[:, None] * side
     elif fault == "frozen":
         claims[k:] = at
-    elif fault == "jumped":
-        claims[k:] = from_there(at + rng.uniform(1.5, 5.0) * side)
-    elif fault == "heading by 180":
-        claims[k:] = from_there(at + (0.0, 0.0, np.pi))
     elif fault == "stale":
-        claims[k:] = truth[k - round(5 * _RATE) : n - round(5 * _RATE)]
+        claims[k:] = truth[np.searchsorted(stamps, stamps[k:] - 5.0)]
     elif fault == "wrong map version":
         claims[k:] = compose_poses(np.array([0, 0, np.deg2rad(3.0)]), after) + 1.5 * side
     elif fault == "wrong scale":
         claims[k:] = after * (1.1, 1.1, 1.0)
-    elif fault == "covariance collapsed":
-        claims[k:] = from_there(at + 1.2 * side)
-    claims = claims + rng.normal(0.0, (0.03, 0.03, np.deg2rad(1.0)), claims.shape)
-    stamped = [replace(s, stamp=10 + i / _RATE) for i, s in enumerate(scans)]
-    return Drive(truth, odom, claims, stamped)
+    return log, truth, claims + rng.normal(0.0, NOISE, claims.shape), k
 
 
-def opinions(features: MapFeatures, drive: Drive) -> Iterator[tuple[str, Pose2D | None]]:
-    """What is said after each scan, and the pose that imgloc would give."""
+def _twin(features: MapFeatures, scan: LaserScan, at: FloatArray) -> FloatArray:
+    """Where a scan taken at a pose (3,) fits second best, or the opposite side of the map."""
+    fits = localize(features, scan, Options(threads=1)).hypotheses
+    some = [base_of(f.pose, scan.T_base_laser or Pose2D(0.0, 0.0)) for f in fits]
+    far = [[*p] for p in some if np.hypot(p.x - at[0], p.y - at[1]) > OFF[0]]
+    grid = features.grid
+    middle = np.array([*grid.occupied.shape[::-1], 0.0]) * grid.resolution / 2
+    x, y, _ = transform_poses(grid.origin, middle[None])[0]
+    return np.array(far[0] if far else [2 * x - at[0], 2 * y - at[1], at[2] + np.pi])
+
+
+def opinions(
+    features: MapFeatures, log: ScanSet, claims: Iterable[FloatArray]
+) -> Iterator[tuple[Opinion, Moment, float]]:
+    """The opinion after each scan, what imgloc believes, and for how many seconds it thought.
+
+    The seconds are of a processor, and of the belief alone.
+    """
     options = Options(threads=1)
     watch, own = Watch(features, options), Tracking().follower(features, options)
-    for scan, odom, claim in zip(drive.scans, drive.odom, drive.claims, strict=True):
-        here = Pose2D(*odom)
-        watch.hear(scan.stamp, Pose2D(*claim), here)
-        found = watch.step(scan, here, own.step(scan, odom))
-        yield found.said, found.pose
+    _, stamps, odometry = known(log)
+    # A claim is taken once the opinion of the one before is out: it may hang on that.
+    for scan, stamp, odom, claim in zip(log.scans, stamps.tolist(), odometry, claims, strict=True):
+        here, now = Pose2D(*odom), replace(scan, stamp=stamp)
+        watch.hear(stamp, Pose2D(*claim), here)
+        begin = time.process_time()
+        moment = own.step(now, odom)
+        took = time.process_time() - begin
+        yield watch.step(now, here, moment), moment, took
 
 
-def noticed(features: MapFeatures, other: OccupancyGrid, fault: str, seed: int) -> Noticed:
-    """Whether, and how soon, one fault is noticed."""
-    drive = drive_of(features, other, fault, seed)
-    said = list(opinions(features, drive))
-    k = round(_BEFORE * _RATE)
-    off = np.abs(drive.claims - drive.truth)
-    turned = np.abs(np.angle(np.exp(1j * off[:, 2]))) > np.deg2rad(20.0)
-    wrong = ~(np.hypot(off[:, 0], off[:, 1]) <= 1.0) | turned
-    begin = next((i for i in range(k, len(said)) if wrong[i]), len(said) - 1)
-    when = next((i for i in range(begin, len(said)) if said[i][0] == DISAGREES), None)
-    false = sum(a[0] != DISAGREES == b[0] for a, b in pairwise(said[:k]))
+def began(said: Sequence[str]) -> int:
+    """How often a disagreement began."""
+    return sum(a != DISAGREES == b for a, b in itertools.pairwise(("", *said)))
+
+
+def noticed(
+    place: Place, other: Place | None, fault: str, rng: np.random.Generator
+) -> Noticed | None:
+    """Whether, and how soon, one fault is noticed; None if it moves no pose far enough."""
+    made = spoiled(place, other, fault, rng)
+    if made is None:
+        return None
+    log, truth, claims, k = made
+    wrong = off(claims, truth)
+    if not wrong[k:].any():
+        return None
+    begin, when, said = k + int(np.argmax(wrong[k:])), None, list[Opinion]()
+    for i, (opinion, *_) in enumerate(opinions(place.features, log, claims)):
+        said.append(opinion)
+        if i >= begin and opinion.said == DISAGREES:
+            when = i
+            break
+    sure, false = said[k - 1].said == AGREES, began([one.said for one in said[:k]])
     if when is None:
-        return Noticed(fault, said[k - 1][0] == "agrees", np.inf, np.inf, False, false)
-    pose, truth = said[when][1], drive.truth[when]
-    right = pose is not None and bool(np.hypot(pose.x - truth[0], pose.y - truth[1]) < 0.5)
-    seconds = (when - begin) / _RATE
-    return Noticed(fault, said[k - 1][0] == "agrees", seconds, seconds * _SPEED, right, false)
+        return Noticed(fault, sure, np.inf, np.inf, False, false)
+    _, stamps, odom = known(log)
+    pose, there = said[when].pose, truth[when]
+    right = pose is not None and bool(np.hypot(pose.x - there[0], pose.y - there[1]) < 0.5)
+    metres = float(np.hypot(*np.diff(odom[begin : when + 1, :2], axis=0).T).sum())
+    return Noticed(fault, sure, float(stamps[when] - stamps[begin]), metres, right, false)
 
 
-def faults(n: int, seed: int) -> Iterator[Noticed]:
-    """So many drives, the faults and worlds in turn."""
-    known = {name: prepare(render(WORLDS[name](), 0.05), name) for name in _WORLDS}
+def faults(n: int, seed: int, places: Sequence[Place] = ()) -> Iterator[Noticed]:
+    """So many drives, the faults in turn in each place; by default in bundled worlds."""
+    some, each = list(places), len(FAULTS)
     for k in range(n):
-        name = _WORLDS[(k // len(FAULTS)) % len(_WORLDS)]
-        other = known[_WORLDS[(_WORLDS.index(name) + 1) % len(_WORLDS)]].grid
-        yield noticed(known[name], other, list(FAULTS)[k % len(FAULTS)], seed + k)
+        if not places and k % (each * len(SIMULATED)) == 0:
+            some = [simulated(name, _DRIVEN, seed + 10 * k) for name in SIMULATED]
+        at = k // each % len(some)
+        others: list[Place | None] = [p for p in some if p.features is not some[at].features]
+        rng = np.random.default_rng((seed, k))
+        one = noticed(
+            some[at], others[k % len(others)] if others else None, list(FAULTS)[k % each], rng
+        )
+        if one is not None:
+            yield one
 
 
-def healthy(metres: float, seed: int) -> Iterator[tuple[float, dict[str, int]]]:
-    """Drives without a fault in changed worlds: hours, and what was said how often.
+def healthy(
+    metres: float, seed: int, places: Sequence[Place] = ()
+) -> Iterator[tuple[float, Counter[str]]]:
+    """Drives without a fault in changed worlds or along logs: hours, and what was said how often.
 
     ``false`` counts how often it began to disagree.
     """
-    for k in range(10**6):
-        name, rng = _WORLDS[k % len(_WORLDS)], np.random.default_rng((seed, k))
-        grid = render(WORLDS[name](), 0.05)
-        features, world = prepare(grid, name), furnished(grid, rng)
-        truth = route(world, metres, seed + 1000 * k)
-        claims = truth + rng.normal(0.0, (0.03, 0.03, np.deg2rad(1.0)), truth.shape)
-        scans = [
-            replace(s, stamp=10 + i / _RATE) for i, s in enumerate(scans_of(world, truth, rng))
-        ]
-        said = [o[0] for o in opinions(features, Drive(truth, noisy_odometry(truth, rng), claims,
-                                                       scans))]  # fmt: skip
-        counts = {word: said.count(word) for word in ("agrees", "disagrees", "cannot tell")}
-        began = sum(a != DISAGREES == b for a, b in pairwise(said))
-        yield len(said) / _RATE / 3600, counts | {"false": began}
+    for k in itertools.count():
+        rng = np.random.default_rng((seed, k))
+        if places:
+            place = places[k % len(places)]
+        else:
+            place = simulated(SIMULATED[k % len(SIMULATED)], metres, seed + 1000 * k, changed=True)
+        truth, stamps, _ = known(place.log)
+        claims = truth + rng.normal(0.0, NOISE, truth.shape)
+        said = [o.said for o, *_ in opinions(place.features, place.log, claims)]
+        yield float(np.ptp(stamps)) / 3600, Counter(said) + Counter(false=began(said))
+
+
+HEAD = (
+    "fault | drives | agreed before | within 5 s or 2 m | median s | most s | own pose right | "
+    "false before"
+)
 
 
 def rows_of(every: list[Noticed]) -> Iterator[tuple[object, ...]]:

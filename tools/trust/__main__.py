@@ -9,10 +9,8 @@
     python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust precision --sets ../data/*/map.yaml         # covariances
     python -m tools.trust precision --maps ../data/map_*/map.yaml     # and of simulated scans
-    python -m tools.trust lean --sets ../data/*/map.yaml              # too far forward?
     python -m tools.trust foreign --sets ../data/*/map.yaml           # scans that are on no map
     python -m tools.trust things --sets ../data/*/map.yaml            # one thing that has changed
-    python -m tools.trust scale --sets ../data/*/map.yaml             # calibrate --scans
     python -m tools.trust which maps ../data --same fr079,fr079_half  # names of maps
     python -m tools.trust thousand maps ../data --full
 
@@ -70,7 +68,6 @@ from tools.trust.foreign import (
     on_other_floors,
     rooms_and_others,
 )
-from tools.trust.lean import lean, lean_table
 from tools.trust.levels import (
     UNDISTURBED,
     answers_at_home,
@@ -92,7 +89,6 @@ from tools.trust.robustness import (
     robustness,
     robustness_table,
 )
-from tools.trust.scale import scale_rows, scale_table
 from tools.trust.things import things
 from tools.trust.thousand import ask_thousand, make_thousand
 
@@ -334,24 +330,6 @@ def run_precision(given: argparse.Namespace) -> int:
     return 0
 
 
-def run_lean(given: argparse.Namespace) -> int:
-    """Are poses too far forward or back? Pairs of scans tell it without true poses.
-
-    Two scans of the same walls with different headings are laid over each other. By how much the
-    poses disagree with that, along the views, is their lean. Recorded poses are asked, too: where
-    somebody found them in the map, they lean as that search did. Prints a Markdown table; positive
-    is too far forward. Of the answers that are `unique` and right.
-    """
-    sets = recorded_sets(given.sets, given.n, given.seed, given.range_max)
-    with progress("lean", len(sets)) as advance:
-        rows = []
-        for name, grid, scans in sets:
-            rows.append(lean(name, prepare(grid, name), scans))
-            advance()
-    print(lean_table(rows))
-    return 0
-
-
 def run_levels(given: argparse.Namespace) -> int:
     """Protection levels against true poses: the share that they hold, and whom they mislead.
 
@@ -434,23 +412,6 @@ def run_things(given: argparse.Namespace) -> int:
     return 0
 
 
-def run_scale(given: argparse.Namespace) -> int:
-    """Maps whose cells say another size than they have, before and after `calibrate --scans`.
-
-    Of each set some scans are for the calibration, without their poses, and others are localized.
-    Prints a Markdown table: the scale found, and the shares of scans whose first answer is right.
-    """
-    factors = [float(text) for text in given.factors.split(",")]
-    sets = recorded_sets(given.sets, 2 * given.n, given.seed, given.range_max)
-    rows = []
-    with progress("scale", len(factors) * len(sets)) as advance:
-        for name, grid, scans in sets:
-            known, asked = (scans.take(range(k, len(scans), 2)) for k in (0, 1))
-            rows += scale_rows(name, grid, known, asked, factors, advance)
-    print(scale_table(rows))
-    return 0
-
-
 def run_which(given: argparse.Namespace) -> int:
     """How often does `imgloc which` name the right map? Over the maps of some folders.
 
@@ -518,11 +479,9 @@ OPTIONS: Mapping[str, dict[str, Any]] = {
     },
     "--few": {"type": int, "default": 20, "help": "scans of each set, disturbed"},
     "--buildings": {"type": int, "default": 5, "help": "drawn, each with four floors"},
-    "--factors": {"default": "0.9,1.1", "help": "of the maps, with commas between"},
     "--scans": {"type": int, "default": 5},
     "--full": {"action": "store_true", "help": "search all maps to the end, too"},
 }  # fmt: skip
-_NEEDED = ("--sets", {"required": True})
 #: Function, default of -n, of --seed, what -n counts, and the options of each tool.
 TOOLS: Sequence[tuple[Any, ...]] = (
     (run_reliability, 100, 7, "scans of each world or set", "--sets", "--range-max", "--picture",
@@ -536,16 +495,13 @@ TOOLS: Sequence[tuple[Any, ...]] = (
      "--buildings", "--hold-temperature", "--write", "--workers", "--same"),
     (run_precision, 30, 1, "scans of each world, set or map", "--sets", "--range-max", "--worlds",
      ("--maps", {"help": "maps on which scans are simulated"}), "--known"),
-    (run_lean, 100, 1, "scans of each set", _NEEDED, "--range-max"),
-    (run_levels, 100, 1, "scans of each set, as they are", _NEEDED, "--range-max", "--few",
-     "--write", "--picture", "--force", "--workers", "--same"),
+    (run_levels, 100, 1, "scans of each set, as they are", ("--sets", {"required": True}),
+     "--range-max", "--few", "--write", "--picture", "--force", "--workers", "--same"),
     (run_foreign, 20, 1, "scans of each set and building, and on no map, for each map", "--sets",
      "--range-max", "--maps", "--buildings", "--same"),
     (run_things, 10, 1, "scans of each set, world, floor and room; twice as many of racks",
      "--sets", "--range-max", ("--worlds", {"default": "corridor,visibility"}),
      ("--buildings", {"default": 2}), "--same"),
-    (run_scale, 30, 1, "scans of each set, as many again to fit to", _NEEDED, "--range-max",
-     "--factors"),
     (run_which, 200, 0, "scans, spread over the maps", "folders", "--range-max", "--same"),
     (run_thousand, 1000, 0, "maps that are made of them", "folders", "--scans", "--full"),
 )  # fmt: skip
