@@ -16,7 +16,6 @@ with 1 if one of their requests is lost, or memory or open files exceed their bo
 import argparse
 import http.client
 import json
-import multiprocessing
 import os
 import signal
 import statistics
@@ -27,7 +26,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ from imgloc.output.rows import scan_row
 from tools.crowd import be_there
 from tools.script import at_least_one, ended, parser_of
 
+_JSON = {"Content-Type": "application/json"}
 _TRIES = 50  # of a request that is refused as busy
 _ALONE = 20.0  # seconds
 _FILES = 30  # open files besides the connections
@@ -84,7 +86,7 @@ class Clients:
 def asked(link: http.client.HTTPConnection, ask: Ask) -> int:
     """The status of one request, its answer read; 0 if there was none."""
     try:
-        link.request("POST", ask.path, ask.body, {"Content-Type": "application/json"})
+        link.request("POST" if ask.body else "GET", ask.path, ask.body, _JSON)
         answer = link.getresponse()
         answer.read()
     except (OSError, http.client.HTTPException):
@@ -136,9 +138,7 @@ def overhead(
     there, here = 1e3 * (spent(pid) - there) / pairs, 1e3 * here / pairs
     print(f"one client, {pairs} requests: {percentiles(http_)}; processor {there:.1f} ms each")
     print(f"the call in Python: {percentiles(call)}; processor {here:.1f} ms each")
-    print(
-        f"over the call: {more:+.1f} ms at p50, {there - here:+.1f} ms of a processor", flush=True
-    )
+    print(f"over the call: {more:+.1f} ms at p50, {there - here:+.1f} ms more of a processor")
 
 
 def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
@@ -150,8 +150,8 @@ def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
     host = address.removeprefix("http://")
     map_path = bundled_maps() / f"{args.map}.yaml"
     scans = imgloc.simulate(imgloc.load_map(map_path), 50, seed=1)
-    bodies = [json.dumps(scan_row(scans, k)).encode() for k in range(len(scans))]
-    asks = [Ask("/v1/localize", body) for body in bodies]
+    rows = (json.dumps(scan_row(scans, k)) for k in range(len(scans)))
+    asks = [Ask("/v1/localize", row.encode()) for row in rows]
     if args.crowd:
         code = beside_a_crowd(host, process.pid, asks, args)
         begin = time.monotonic()
@@ -163,11 +163,10 @@ def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
     if args.near:
         near = [",".join(map(str, pose.tolist())) for _, pose in scans.with_poses()]
         asks = [Ask(f"{a.path}?near={at}", a.body) for a, at in zip(asks, near, strict=True)]
+    codes, held, begin = Counter[int](), list[float](), time.perf_counter()
     requests = args.requests
-    codes, held, left, begin = Counter[int](), list[float](), requests, time.perf_counter()
-    while left > 0:
+    for left in range(requests, 0, -_PART):
         part = Clients(host, asks, min(_PART, left))
-        left -= _PART
         threads = [threading.Thread(target=part.ask) for _ in range(args.clients)]
         for thread in threads:
             thread.start()
@@ -175,7 +174,7 @@ def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
             thread.join()
         codes += part.codes
         held.append(resident(process.pid))
-        done = f"{requests - max(0, left)} requests"
+        done = f"{requests - max(0, left - _PART)} requests"
         times = percentiles(part.seconds) if len(part.seconds) > 1 else ""
         print(f"{args.clients} clients, {done}: {times}; {held[-1]:.1f} MiB", flush=True)
     took, lost, grown = time.perf_counter() - begin, requests - codes[200], held[-1] - held[0]
@@ -185,6 +184,19 @@ def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
     code = process.wait(60)
     print(f"exit code {code}")
     return int(bool(lost) or code != 0 or grown > args.growth)
+
+
+def probe(host: str, seconds: float) -> tuple[list[float], int]:
+    """Ask whether it runs, as an orchestrator does: seconds of each answer, and how many failed."""
+    took, wrong, end = list[float](), 0, time.monotonic() + seconds
+    while time.monotonic() < end:
+        time.sleep(0.1)
+        begin = time.perf_counter()
+        link = http.client.HTTPConnection(host, timeout=60)
+        wrong += asked(link, Ask("/healthz", b"")) != 200
+        link.close()
+        took.append(time.perf_counter() - begin)
+    return took, wrong
 
 
 @dataclass
@@ -216,39 +228,30 @@ class Honest:
             k += 1
         link.close()
 
-    def probe(self) -> None:
-        """Ask whether it runs, as an orchestrator does."""
-        while not self.stop.wait(0.1):
-            begin = time.perf_counter()
-            link = http.client.HTTPConnection(self.host, timeout=60)
-            try:
-                link.request("GET", "/healthz")
-                self.codes[-1] += link.getresponse().read() != b'{"status":"ok"}'
-            except (OSError, http.client.HTTPException):
-                self.codes[-1] += 1
-            link.close()
-            self.probes.append(time.perf_counter() - begin)
-
     def run(self, pid: int, seconds: float, clients: int) -> None:
         """Ask for some time."""
         threads = [threading.Thread(target=self.ask, args=(k,)) for k in range(clients)]
-        threads.append(threading.Thread(target=self.probe))
-        for thread in threads:
-            thread.start()
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.memory = max(self.memory, resident(pid))
-            self.files = max(self.files, len(list(Path(f"/proc/{pid}/fd").iterdir())))
-            time.sleep(0.2)
-        self.stop.set()
-        for thread in threads:
-            thread.join()
+        # An orchestrator does not wait for the interpreter of these clients: a process of its own.
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            pool.submit(int).result()  # it has begun
+            asked, end = pool.submit(probe, self.host, seconds), time.monotonic() + seconds
+            for thread in threads:
+                thread.start()
+            while time.monotonic() < end:
+                self.memory = max(self.memory, resident(pid))
+                self.files = max(self.files, len(list(Path(f"/proc/{pid}/fd").iterdir())))
+                time.sleep(0.2)
+            self.stop.set()
+            for thread in threads:
+                thread.join()
+            self.probes, wrong = asked.result()
+        self.codes[-1] += wrong
 
     def say(self, what: str) -> None:
         """Print what was seen."""
-        lost, again = self.codes[-1], self.codes[503]
+        lost, again, closed = (self.codes[code] for code in (-1, 503, 0))
         print(f"{what}: {len(self.seconds)} requests, {percentiles(self.seconds)}; {lost} lost, ")
-        print(f"  {again} times 503, {self.codes[0]} times closed and asked again; healthz")
+        print(f"  {again} times 503, {closed} times closed and asked again; healthz")
         print(f"  {percentiles(self.probes)}, longest {1e3 * max(self.probes):.0f} ms;", end=" ")
         print(f"{self.memory:.0f} MiB, {self.files} open files", flush=True)
 
@@ -258,9 +261,8 @@ def beside_a_crowd(host: str, pid: int, asks: Sequence[Ask], args: argparse.Name
     alone, beside = Honest(host, asks), Honest(host, asks)
     alone.run(pid, min(_ALONE, args.crowd), args.clients)
     alone.say("alone")
-    crowd = multiprocessing.get_context("spawn").Process(
-        target=be_there, args=(host, args.crowd + 2, args.only), daemon=True
-    )
+    there = (host, args.crowd + 2, args.only)
+    crowd = get_context("spawn").Process(target=be_there, args=there, daemon=True)
     crowd.start()
     time.sleep(2)
     beside.run(pid, args.crowd, args.clients)

@@ -118,8 +118,7 @@ def score_poses(
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     # On bent walls all pieces are displaced or gone already.
     things = log_likelihood if model.bent else by_things(told, own, goes_on)
-    apart = some & (told < own)
-    return Scores(log_likelihood, things, fits, apart, passing, on_surface, crossed)
+    return Scores(log_likelihood, things, fits, some & (told < own), passing, on_surface, crossed)
 
 
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
@@ -240,9 +239,7 @@ def _endpoint_density(
     features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> tuple[Float32Array, Float32Array]:
     """Density of each reading by its endpoint alone, 1 / metres, and distance in metres: (C, N)."""
-    ranges, angles = readings.ranges, readings.angles
-    xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
-    distance = endpoints(poses, xy, features.field)[2]
+    distance = endpoints(poses, readings.xy, features.field)[2]
     return hit_density(distance, model), distance
 
 
