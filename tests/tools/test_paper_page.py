@@ -6,8 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from tools.paper.claims import Claim
-from tools.paper.page import formula, render_report, templates
+from tools.paper.page import render_report, templates
 
 tables = templates().get_template("tables.html").module
 PNG = b"\x89PNG not really"
@@ -132,20 +131,6 @@ def test_the_chart_has_a_dot_for_each_and_a_ring_for_the_papers():
     broken = copy.deepcopy(ROWS)
     broken[0]["interval"] = [float("nan")] * 2  # a single trial has none
     assert tables.index_chart(broken).count('class="bar"') == 2
-
-
-def test_claims_are_ticked_or_crossed():
-    held, failed = (vars(Claim(t, t == "a < b", "x^-1.5")) for t in ("a < b", "c"))
-    assert re.sub(r"\n", "", tables.claim_list([held, failed])) == (
-        '<ul class="claims"><li class="yes">a &lt; b <span class="paper">(x<sup>-1.5</sup>)</span>'
-        '</li><li class="no">c <span class="paper">(x<sup>-1.5</sup>)</span></li></ul>'
-    )
-
-
-def test_formulas_are_raised_and_escaped():
-    assert formula("rho_theta^0, A^1.00; <i>") == (
-        "ρ<sub>θ</sub><sup>0</sup>, A<sup>1.00</sup>; &lt;i&gt;"
-    )
 
 
 @pytest.mark.parametrize("key", ["world", "method"])

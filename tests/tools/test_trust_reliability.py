@@ -22,7 +22,6 @@ from tools.trust.precision import precision
 from tools.trust.reliability import (
     Judged,
     count_verdicts,
-    draw_reliability,
     judge_answer,
     judged,
     mean_nees,
@@ -100,14 +99,6 @@ def test_simulated_scans_are_judged():
     assert all(t.right[0] for t in told)
     other = list(judged(prepare(render(WORLDS["corridor"](), 0.1)), scans))
     assert not any(t.verdict == "unique" for t in other)
-
-
-def test_the_diagram_has_a_dot_where_mass_and_share_meet():
-    told = [Judged(np.array([0.75]), np.array([k < 3]), "ambiguous", False, 0.0) for k in range(4)]
-    image = draw_reliability({"simulated": reliability(told)[0]})
-    blue = (image == (178, 114, 0)).all(axis=2)  # BGR
-    assert blue[40 + 130, 70 + 390]  # 520 pixels a side, from (70, 40)
-    assert not blue[40 + 390, 70 + 390]
 
 
 def test_the_summary_counts_simulated_recorded_and_other_maps():
