@@ -17,6 +17,7 @@ from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.drive import path_between
+from tools.filters import driven
 from tools.recorded import logs_of
 from tools.robot.kill import true_poses
 from tools.trust.disturb import furnished, people, shut
@@ -36,10 +37,11 @@ class Place:
     features: MapFeatures
     log: ScanSet
 
-    def after(self, first: int, seconds: float) -> int:
-        """The scan that is so much later than another one."""
-        stamps = known(self.log)[1]
-        return int(np.searchsorted(stamps, stamps[first] + seconds))
+    def after(self, first: int, seconds: float, metres: float = 0.0) -> int:
+        """The scan that is so much later than another one, and so much farther along the way."""
+        stamps, way = known(self.log)[1], driven(self.log)
+        later, farther = stamps[first] + seconds, way[first] + metres
+        return int(max(np.searchsorted(stamps, later), np.searchsorted(way, farther)))
 
     def start(
         self, seconds: float, rng: np.random.Generator, away: FloatArray | None = None

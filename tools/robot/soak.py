@@ -114,9 +114,7 @@ def soak(seed: int, places: Sequence[Place] = ()) -> Iterator[dict[str, Soaked]]
 
 
 _COUNTS = ("carried", "not noticed", "alarms", "false", *OUTCOMES, "restored wrong")
-HEAD = " | ".join(
-    ("place | hours | unique | s unique and wrong", *_COUNTS, "p50, p99 ms of a scan")
-)
+HEAD = " | ".join(("place | hours | unique | s unique and wrong", *_COUNTS, "p50, p99 ms"))
 
 
 def rows_of(rows: Mapping[str, Soaked]) -> Iterator[tuple[object, ...]]:

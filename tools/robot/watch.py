@@ -36,7 +36,7 @@ FAULTS = {
     "wrong scale": "its map is a tenth too large",
     "covariance collapsed": "it is 1.2 m off, and says that it is sure to a millimetre",
 }
-_BEFORE, _AFTER = 10.0, 12.0  # seconds
+_BEFORE, _AFTER = (10.0, 5.0), (12.0, 3.0)  # seconds and metres, at least
 _DRIVEN = 60.0  # metres of a simulated drive, of which faults are pieces
 NOISE = (0.03, 0.03, float(np.deg2rad(1.0)))
 """Standard deviations of the poses of a localizer that is right."""
@@ -69,18 +69,17 @@ def spoiled(
 
     None if the log has no such piece.
     """
-    begin = place.start(_BEFORE + _AFTER, rng)
-    there = {"carried off": place, "wrong floor": other}.get(fault)
-    if begin is None or (fault == "wrong floor" and there is None):
+    begin = place.start(_BEFORE[0] + _AFTER[0], rng)
+    there, log = {"carried off": place, "wrong floor": other}.get(fault), place.log
+    k = len(log) if begin is None else place.after(begin, *_BEFORE)
+    if begin is None or k + 1 >= len(log) or (fault == "wrong floor" and there is None):
         return None
-    k, end = place.after(begin, _BEFORE), place.after(begin, _BEFORE + _AFTER)
-    log, parts = place.log, [range(begin, end)]
+    parts = [range(begin, place.after(k, *_AFTER))]
     if there is not None:
-        away = known(place.log)[0][k] if there is place else None
-        first = there.start(_AFTER, rng, away)
+        first = there.start(_AFTER[0], rng, known(log)[0][k] if there is place else None)
         if first is None:
             return None
-        n, last = len(log), there.after(first, _AFTER)
+        n, last = len(log), there.after(first, *_AFTER)
         log, parts = both(log, there.log), [range(begin, k), range(n + first, n + last)]
     log, k = piece(log, *parts), k - begin
     poses, stamps, _ = known(log)
