@@ -1,12 +1,12 @@
-"""Filters along recorded logs: who finds the robot, who keeps it, and what sensor resetting is for.
+"""Filters along recorded logs: who finds the robot, and who keeps it.
 
 Run it with the folders of logs, each with ``map.yaml`` and ``scans.npz`` (poses, and odometry if
 it was recorded)::
 
     python -m tools.sequences ../data/fr079_half ../data/duke_loop5 --out sequences
 
-It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), the shares of right
-poses against metres driven (``recall.png``), and a track of each log over its map.
+It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), and a track of each
+log over its map. *Localized* is what ``~/status`` of ``imgloc node`` says.
 """
 
 import hashlib
@@ -26,7 +26,6 @@ from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
-from imgloc.output.plots import blank
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
 from tools.filters import Searches, Trials, measure
@@ -47,7 +46,6 @@ class Case:
     name: str
     filter: str = "tracker"
     scans: str = "as recorded"
-    resets: bool = True
     reset_by: str = "ght-v"
 
 
@@ -56,10 +54,8 @@ CASES = (
     Case("tracker, 5 m and 90 deg", scans="near"),
     Case("tracker, 30 % stopped short", scans="stopped"),
     Case("tracker, odometry lags", scans="lagging"),
-    Case("tracker, no resetting", resets=False),
     Case("particle, GHT-V", "particle"),
     Case("particle, CBML", "particle", reset_by="cbml"),
-    Case("particle, no resetting", "particle", resets=False),
     Case("grid", "grid"),
 )
 
@@ -169,7 +165,7 @@ def measure_log(
             kept[case.scans] = changed(recorded, case.scans, trials.seed), anew
         scans, searches = kept[case.scans]
         features = coarse if case.filter == "grid" else fine
-        how = replace(trials, resets=case.resets, reset_by=case.reset_by)
+        how = replace(trials, reset_by=case.reset_by)
         try:
             summary = measure(
                 features, scans, case.filter, how, options, searches=searches, advance=advance
@@ -186,7 +182,8 @@ def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
     right = " | ".join(f"{m} m" for m in rows[0]["right"])
     head = (
         f"log | filter | runs | {right} | stays, 2 m | 10 m | unique, 10 m | s, m to converge | "
-        "RMSE m, deg | in 95 % region | s unique, wrong | kidnapped: back | after m | ENM-MCL | "
+        "RMSE m, deg | in 95 % region | s unique, wrong | s localized, wrong | unique, localized "
+        "end, times a minute | kidnapped: back | after m | ENM-MCL | "
         "F3Loc 1, .5, .3, .2 m | x real time"
     )
     cells = (
@@ -196,7 +193,8 @@ def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
          f"{row['seconds']:.0f}, {row['metres']:.1f}",
          f"{row['rmse'][0]:.3f}, {np.rad2deg(row['rmse'][1]):.2f}",
          _share(row["inside"]),
-         f"{row['wrong']:.1f} of {row['total']:.0f}",
+         f"{row['wrong']:.1f} of {row['total']:.0f}", f"{row['held']:.1f}",
+         ", ".join(f"{each:.2f}" for each in row["falls"]),
          f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
          f"{row['kidnap_metres']:.1f}", _share(row["enm"]),
          ", ".join(map(_share, row["f3loc"].values())), f"{row['speed']:.1f}")
@@ -215,23 +213,6 @@ def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
 
 def _share(share: Mapping[str, Any]) -> str:
     return "-" if not share["trials"] else f"{share['value']:.2f}"
-
-
-def draw_recall(rows: Sequence[Mapping[str, Any]]) -> Picture:
-    """Share of right poses against metres driven: all logs together, a curve for each filter."""
-    figure, pixels = blank(7, 4, dpi=120, layout="constrained")
-    axes = figure.add_subplot()
-    for name in dict.fromkeys(row["filter"] for row in rows):
-        mine = [row for row in rows if row["filter"] == name]
-        metres = list(mine[0]["right"])
-        hits = [sum(row["right"][m]["hits"] for row in mine) for m in metres]
-        trials = [max(1, sum(row["right"][m]["trials"] for row in mine)) for m in metres]
-        shares = np.array(hits) / np.array(trials)
-        axes.plot([float(m) for m in metres], shares, marker="o", label=name)
-    axes.set(xlabel="metres driven", ylabel="share of right poses", ylim=(0, 1.02))
-    axes.legend(fontsize=8)
-    axes.grid(alpha=0.3)
-    return Picture(pixels())
 
 
 def draw_log(folder: Path) -> Picture:
@@ -271,7 +252,6 @@ def main() -> None:
                     lines = "".join(to_json(r) + "\n" for r in rows)
                     write_text_atomic(given.out / "sequences.jsonl", lines, force=True)
                     write_text_atomic(given.out / "sequences.md", page(rows, trials), force=True)
-        draw_recall(rows).save(given.out / "recall.png", force=True)
         print((given.out / "sequences.md").read_text())
     for folder in given.folders:
         draw_log(folder).save(given.out / f"track-{folder.name}.png", force=True)
