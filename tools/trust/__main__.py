@@ -9,7 +9,6 @@
     python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust precision --sets ../data/*/map.yaml         # covariances
     python -m tools.trust precision --maps ../data/map_*/map.yaml     # and of simulated scans
-    python -m tools.trust lean --sets ../data/*/map.yaml              # too far forward?
     python -m tools.trust foreign --sets ../data/*/map.yaml           # scans that are on no map
     python -m tools.trust things --sets ../data/*/map.yaml            # one thing that has changed
     python -m tools.trust scale --sets ../data/*/map.yaml             # calibrate --scans
@@ -70,7 +69,6 @@ from tools.trust.foreign import (
     on_other_floors,
     rooms_and_others,
 )
-from tools.trust.lean import lean, lean_table
 from tools.trust.levels import (
     UNDISTURBED,
     answers_at_home,
@@ -334,24 +332,6 @@ def run_precision(given: argparse.Namespace) -> int:
     return 0
 
 
-def run_lean(given: argparse.Namespace) -> int:
-    """Are poses too far forward or back? Pairs of scans tell it without true poses.
-
-    Two scans of the same walls with different headings are laid over each other. By how much the
-    poses disagree with that, along the views, is their lean. Recorded poses are asked, too: where
-    somebody found them in the map, they lean as that search did. Prints a Markdown table; positive
-    is too far forward. Of the answers that are `unique` and right.
-    """
-    sets = recorded_sets(given.sets, given.n, given.seed, given.range_max)
-    with progress("lean", len(sets)) as advance:
-        rows = []
-        for name, grid, scans in sets:
-            rows.append(lean(name, prepare(grid, name), scans))
-            advance()
-    print(lean_table(rows))
-    return 0
-
-
 def run_levels(given: argparse.Namespace) -> int:
     """Protection levels against true poses: the share that they hold, and whom they mislead.
 
@@ -536,7 +516,6 @@ TOOLS: Sequence[tuple[Any, ...]] = (
      "--buildings", "--hold-temperature", "--write", "--workers", "--same"),
     (run_precision, 30, 1, "scans of each world, set or map", "--sets", "--range-max", "--worlds",
      ("--maps", {"help": "maps on which scans are simulated"}), "--known"),
-    (run_lean, 100, 1, "scans of each set", _NEEDED, "--range-max"),
     (run_levels, 100, 1, "scans of each set, as they are", _NEEDED, "--range-max", "--few",
      "--write", "--picture", "--force", "--workers", "--same"),
     (run_foreign, 20, 1, "scans of each set and building, and on no map, for each map", "--sets",
