@@ -42,9 +42,10 @@ def changes(
 ) -> None:
     """Find where a map has aged: walls that rays pass (gone), surfaces where it has none (new).
 
-    Each scan is located without a guess, and only those that are unique count. A change needs 3
-    scans from 2 places or times, so passers-by are not counted. Of a file with more than 300 scans
-    300 are taken, evenly spread, unless --scans-index or --sample chooses. DIR is a folder of
+    A log with odometry is followed from anywhere; else each scan is located without a guess. Only
+    those that are unique count. A change needs 3 scans from 2 places or times, so passers-by are
+    not counted. Of a file with more than 300 such scans 300 are taken, evenly spread.
+    --scans-index or --sample chooses scans, which are located one by one. DIR is a folder of
     results of imgloc batch with its job localize: its poses on MAP are used, nothing is located
     again, and its scans are read as the batch has read them. A scan counts
     once: one with the same stamp, ranges and angles as another, in a file before, is left out.
@@ -56,7 +57,7 @@ def changes(
     from imgloc.io.maps import save_map
     from imgloc.lab.batched import is_batch, read_batch
     from imgloc.lab.changes import map_changes
-    from imgloc.lab.located import Once, hints_of, open_some, placed
+    from imgloc.lab.located import Once, placed
     from imgloc.lab.picture import draw_changes
     from imgloc.model import to_json
     from imgloc.runs.localize import Localize
@@ -82,14 +83,10 @@ def changes(
         )
     once = Once()
     parts = [p for path in batches for p in read_batch(path, map_path, job, desk, _SCANS, once)]
-    runs = [
-        open_some(job, inputs.item_of(map_path, path), desk, _SCANS, once)
-        for path in scans_paths
-        if path not in batches
-    ]
-    located = [one for run in runs for one in run]
-    parts.append(placed(located))
-    hints = hints_of(runs[0], located) if located else []
+    for path in scans_paths:
+        if path not in batches:
+            run = job.open(inputs.item_of(map_path, path), desk)
+            parts.append(placed(run, _SCANS, once))
     scans = [scan for part in parts for scan in part.scans]
     found = map_changes(grid, scans, np.concatenate([part.poses for part in parts]))
     count = sum(part.given for part in parts)
@@ -103,5 +100,5 @@ def changes(
     for path in (out, update):
         if path is not None:
             say(f"wrote {display(path)}")
-    for hint in hints:
+    for hint in dict.fromkeys(hint for part in parts for hint in part.hints):
         LOG.warning("%s", hint)
