@@ -215,13 +215,6 @@ def test_somebody_in_the_way_once_makes_no_robot_move() -> None:
     assert max(errors(moments, scans)) < 0.1
 
 
-def test_without_resets_it_stays_where_it_believes_to_be() -> None:
-    scans = log()
-    moments = carried_off(scans, tracker_of(resets=False))
-    assert errors(moments, scans)[-1] > 2
-    assert moments[-1].belief.verdict == "lost"
-
-
 def test_a_tracker_that_knows_its_place_seldom_searches_the_map() -> None:
     asked = []
 
@@ -617,17 +610,6 @@ def test_particles_are_as_many_as_they_need_to_be() -> None:
     assert errors(moments, scans)[-1] < 0.4
     with pytest.raises(ConfigError, match="particles"):
         ParticleFilter(features, how=ParticleOptions(least=9, most=8))
-
-
-@pytest.mark.parametrize("method", ["beam", "ght-v"])
-def test_particles_are_weighed_by_any_method(method: str) -> None:
-    features = features_of(WORLD)
-    here = transform_poses(inverse(features.grid.origin), log().poses)[0]
-    there = here + [3.0, 0.0, 1.0]
-    particles = ParticleFilter(features, how=ParticleOptions(weigh_by=method, cut=0))
-    particles.poses, particles.weights = np.array([there, here]), np.full(2, 0.5)
-    particles.see(log()[0])
-    assert np.hypot(*(particles.belief.poses[0] - here)[:2]) < 0.2
 
 
 def test_kld_bound_is_that_of_the_chi_square() -> None:

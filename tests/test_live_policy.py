@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
+from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE, Belief
+from imgloc.filters.follow import Moment
 from imgloc.live.policy import (
     CONFIRMED,
     GIVEN_UP,
@@ -13,6 +15,7 @@ from imgloc.live.policy import (
     TRYING,
     WAITING,
     FirstPose,
+    LastPose,
     Rules,
     Sighting,
     alone,
@@ -93,3 +96,33 @@ def test_one_scan_alone_is_believed_only_if_it_is_very_sure() -> None:
     assert not alone(answer("unique", 0.99, 0.3))
     assert not alone(answer("unique", 0.9995, 0.6))
     assert not alone(answer("ambiguous", 0.9995, 0.3))
+
+
+def moment(stamp, verdict, *, x=0.0, here=0.0):
+    """A robot at `x` of the map whose odometry is at `here`."""
+    belief = Belief(np.zeros((1, 3)), np.ones(1), np.zeros((1, 3, 3)), 0.0, verdict, 1.0)
+    at = {"best": Pose2D(x, 0.0), "map_odom": Pose2D(x - here, 0.0)}
+    return Moment(0, stamp, 0.0, True, here, belief, "", covariance=np.zeros((3, 3)),
+                  deviation=(0.1, 0.1), **at)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("then", "holds"),
+    [
+        (moment(11.9, AMBIGUOUS, x=3.2, here=3.0), True),
+        (moment(12.1, AMBIGUOUS, x=3.2, here=3.0), False),  # too long ago
+        (moment(11.0, AMBIGUOUS, x=3.8, here=3.0), False),  # not where the odometry led
+        (moment(11.0, LOST, x=3.0, here=3.0), False),
+        (moment(99.0, UNIQUE, x=9.0, here=3.0), True),
+    ],
+)
+def test_a_sure_pose_holds_for_a_while_if_the_belief_stays_with_it(then, holds) -> None:
+    last = LastPose()
+
+    def take(one):
+        return last.take(one, sure=one.belief.verdict == UNIQUE, longest=2.0)
+
+    assert not take(moment(9.0, AMBIGUOUS))
+    assert take(moment(10.0, UNIQUE))
+    assert take(then) is holds
+    assert take(moment(then.stamp + 0.1, AMBIGUOUS, x=then.best.x, here=3.0)) is holds

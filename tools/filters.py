@@ -23,6 +23,8 @@ from imgloc.filters.motion import compose_poses, increments
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import Share, share
+from imgloc.live.policy import LastPose
+from imgloc.live.settings import Settings
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Every, Options
 from tools.trust.precision import REGION, TRUTH
@@ -52,6 +54,7 @@ class Run:
     spread: FloatArray
     #: (N,) squared Mahalanobis distance of the best pose from the true one
     square: FloatArray
+    holds: FloatArray  #: 1 where `~/status` of the node calls the robot localized
     jump: int | None = None  #: moment at which the robot was carried off
 
     @property
@@ -99,7 +102,7 @@ def drive(
     truth = robot_poses(scans)
     if truth is None:
         raise ConfigError("expected the true pose of each scan")
-    begin, before, rows = time.process_time(), searches.clock, []
+    begin, before, rows, last = time.process_time(), searches.clock, [], LastPose()
     own = np.diag(np.square(TRUTH))
     for moment in follow(features, scans, make(), every=every, start=start):
         error, spread, square = (np.inf, np.inf), (np.inf, np.inf), np.inf
@@ -111,15 +114,16 @@ def drive(
             spread = deviations_of(moment.covariance)
             square = float(apart @ np.linalg.solve(moment.covariance + own, apart))
         verdict = moment.belief.verdict
+        holds = last.take(moment, sure=verdict == UNIQUE, longest=Settings().max_age)
         rows.append((
             *(moment.stamp, moment.metres), *error, *(verdict == UNIQUE, verdict == LOST),
-            *spread, square,
+            *spread, square, holds,
         ))  # fmt: skip
     cost = time.process_time() - begin + searches.clock - before
     table = np.array(rows, dtype=np.float64)
     return Run(
         table[:, 0] - table[0, 0], table[:, 1], table[:, 2:4], table[:, 4], table[:, 5], cost,
-        table[:, 6:8], table[:, 8], jump,
+        table[:, 6:8], table[:, 8], table[:, 9], jump,
     )  # fmt: skip
 
 
@@ -212,7 +216,6 @@ class Trials:
     kidnaps: int = 20
     seed: int = 0
     seconds: float = 30.0
-    resets: bool = True
     reset_by: str = "ght-v"  #: method whose p(x | z) new particles are drawn from
     every: Every = field(default_factory=Every)
 
@@ -245,8 +248,8 @@ def measure(
 
     def make() -> Filter:
         return make_filter(
-            name, features, options, seed=trials.seed, resets=trials.resets,
-            reset_by=trials.reset_by, find=found,
+            name, features, options, seed=trials.seed, reset_by=trials.reset_by,
+            find=found,
         )  # fmt: skip
 
     runs, kidnaps = list[Run](), list[Run]()
@@ -277,6 +280,8 @@ class SequenceSummary:
     wrong: float  #: seconds ``unique`` and more than :data:`WRONG` off, of all runs
     wrong_moments: int
     total: float  #: seconds of all runs
+    falls: tuple[float, float]  #: times a minute, if not kidnapped, that unique, localized end
+    held: float  #: seconds localized and more than :data:`WRONG` off, of all runs
     kidnapped: Share  #: recovered by JAIR's rule
     kidnap_metres: float  #: median until right for good after that
     speed: float  #: seconds of log for a second of one processor
@@ -324,10 +329,14 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
     errors = [run.error[k:][run.unique[k:] > 0] for run, k in done]
     whole = np.concatenate(errors) if errors else np.full((1, 2), np.nan)
     everything = [*runs, *kidnaps]
-    bad = [(run.unique > 0) & (run.error > WRONG).any(axis=1) for run in everything]
+    off = [(run.error > WRONG).any(axis=1) for run in everything]
+    bad = [(run.unique > 0) & b for run, b in zip(everything, off, strict=True)]
+    held = [(run.holds > 0) & b for run, b in zip(everything, off, strict=True)]
     spans = [np.diff(run.seconds, append=run.seconds[-1]) for run in everything]
     back = [recovered(run) for run in kidnaps]
     total = float(sum(run.seconds[-1] for run in everything))
+    ends = [[(np.diff(v) < 0).sum() for v in (run.unique, run.holds)] for run in runs]
+    minutes = max(1e-9, sum(run.seconds[-1] for run in runs) / 60)
     return SequenceSummary(
         runs=len(runs),
         right=right,
@@ -344,6 +353,8 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
         wrong=float(sum(span[b].sum() for span, b in zip(spans, bad, strict=True))),
         wrong_moments=int(sum(b.sum() for b in bad)),
         total=total,
+        falls=tuple((np.sum(ends, axis=0) / minutes).tolist()),
+        held=float(sum(span[b].sum() for span, b in zip(spans, held, strict=True))),
         kidnapped=share(b is not None for b in back),
         kidnap_metres=_median([b for b in back if b is not None]),
         speed=total / max(1e-9, sum(run.cost for run in everything)),

@@ -1,4 +1,4 @@
-"""Filters along recorded logs: who finds the robot, who keeps it, and what sensor resetting is for.
+"""Filters along recorded logs: who finds the robot, and who keeps it.
 
 Run it with the folders of logs, each with ``map.yaml`` and ``scans.npz`` (poses, and odometry if
 it was recorded)::
@@ -6,7 +6,7 @@ it was recorded)::
     python -m tools.sequences ../data/fr079_half ../data/duke_loop5 --out sequences
 
 It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), and a track of each
-log over its map.
+log over its map. *Localized* is what ``~/status`` of ``imgloc node`` says.
 """
 
 import hashlib
@@ -44,7 +44,6 @@ class Case:
     name: str
     filter: str = "tracker"
     scans: str = "as recorded"
-    resets: bool = True
     reset_by: str = "ght-v"
 
 
@@ -53,10 +52,8 @@ CASES = (
     Case("tracker, 5 m and 90 deg", scans="near"),
     Case("tracker, 30 % stopped short", scans="stopped"),
     Case("tracker, odometry lags", scans="lagging"),
-    Case("tracker, no resetting", resets=False),
     Case("particle, GHT-V", "particle"),
     Case("particle, CBML", "particle", reset_by="cbml"),
-    Case("particle, no resetting", "particle", resets=False),
     Case("grid", "grid"),
 )
 
@@ -162,7 +159,7 @@ def measure_log(
             kept[case.scans] = changed(recorded, case.scans, trials.seed), anew
         scans, searches = kept[case.scans]
         features = coarse if case.filter == "grid" else fine
-        how = replace(trials, resets=case.resets, reset_by=case.reset_by)
+        how = replace(trials, reset_by=case.reset_by)
         try:
             summary = measure(
                 features, scans, case.filter, how, options, searches=searches, advance=advance
@@ -179,7 +176,8 @@ def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
     right = " | ".join(f"{m} m" for m in rows[0]["right"])
     head = (
         f"log | filter | runs | {right} | stays, 2 m | 10 m | unique, 10 m | s, m to converge | "
-        "RMSE m, deg | in 95 % region | s unique, wrong | kidnapped: back | after m | ENM-MCL | "
+        "RMSE m, deg | in 95 % region | s unique, wrong | s localized, wrong | unique, localized "
+        "end, times a minute | kidnapped: back | after m | ENM-MCL | "
         "F3Loc 1, .5, .3, .2 m | x real time"
     )
     cells = (
@@ -189,7 +187,8 @@ def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
          f"{row['seconds']:.0f}, {row['metres']:.1f}",
          f"{row['rmse'][0]:.3f}, {np.rad2deg(row['rmse'][1]):.2f}",
          _share(row["inside"]),
-         f"{row['wrong']:.1f} of {row['total']:.0f}",
+         f"{row['wrong']:.1f} of {row['total']:.0f}", f"{row['held']:.1f}",
+         ", ".join(f"{each:.2f}" for each in row["falls"]),
          f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
          f"{row['kidnap_metres']:.1f}", _share(row["enm"]),
          ", ".join(map(_share, row["f3loc"].values())), f"{row['speed']:.1f}")

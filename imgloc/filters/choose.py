@@ -7,7 +7,7 @@ from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Filter
 from imgloc.filters.evidence import Places
-from imgloc.filters.tracker import Tracker, TrackerOptions
+from imgloc.filters.tracker import Tracker
 from imgloc.model import LaserScan
 from imgloc.options import FILTERS, Options
 
@@ -18,7 +18,6 @@ def make_filter(
     options: Options,
     *,
     seed: int = 0,
-    resets: bool = True,
     reset_by: str = "ght-v",
     find: Callable[[LaserScan], Places] | None = None,
 ) -> Filter:
@@ -30,8 +29,6 @@ def make_filter(
         One of :data:`imgloc.options.FILTERS`. Any other name raises a ConfigError.
     seed : int
         Seed of the filter's random draws.
-    resets : bool
-        Whether the filter starts again from p(x | z) if it is lost.
     reset_by : str
         Method whose p(x | z) the particle filter draws new particles from.
     find : callable, optional
@@ -39,13 +36,13 @@ def make_filter(
         for example.
     """
     if name == "tracker":
-        return Tracker(features, options, TrackerOptions(resets=resets), find)
+        return Tracker(features, options, find=find)
     if name not in FILTERS:
         raise ConfigError(f"filter must be one of {', '.join(FILTERS)}, got {name!r}")
     made: Filter
     if name == "grid":
-        made = behind("GridFilter")(features, options, behind("GridOptions")(resets=resets))
+        made = behind("GridFilter")(features, options, behind("GridOptions")())
     else:
-        how = behind("ParticleOptions")(resets=resets, reset_by=reset_by)
+        how = behind("ParticleOptions")(reset_by=reset_by)
         made = behind("ParticleFilter")(features, options, how, seed=seed)
     return made

@@ -149,7 +149,6 @@ class TrackerOptions(Checked):
     #: a scan that agrees with no place alone is explained if the probability of being lost, and the
     #: nats that each reading lacks at the best place, are less than these
     fits: tuple[Share, Nats] = number("TrackerOptions.fits")
-    resets: bool = True  #: whether places that a scan finds take the lost mass: sensor resetting
 
 
 class _Search:
@@ -326,7 +325,7 @@ class Tracker:
 
     def _doubt_place(self, lost: float) -> None:
         """Raise the probability of being lost to `lost`."""
-        if self.how.resets and self._lost < lost:
+        if self._lost < lost:
             self._mass, self._lost = self._mass * (1 - lost) / (1 - self._lost), lost
 
     def watch(self, scan: LaserScan) -> bool:
@@ -451,14 +450,12 @@ class Tracker:
             gone = lost * float(np.exp(new * min(_MOST, self._doubt(gained))))
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
-            told = self._told(seen, 2 * known) if how.resets else 0.0
-            odds = max(how.patience, told, np.exp(_MOST) * lost / (1 - lost))
+            odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
         self._settle(seen, at, laser)
         self._normalise()
-        if how.resets or not known:
-            self._bear(seen, 2 * known, relative)
+        self._bear(seen, 2 * known, relative)
         self._tidy()
         self._agree(view, laser)
         self._judge_map(self._explains(laser))
@@ -702,7 +699,6 @@ class Tracker:
         longest = np.zeros(len(picked))
         np.maximum.at(longest, owner[owner >= 0], followed[owner >= 0])
         some = mass > _NOTHING
-        some[:1] |= not self.how.resets
         self._poses, self._covariance = self._poses[kept[some]], self._covariance[kept[some]]
         self._mass, self._followed = mass[some], longest[some]
         self._normalise()

@@ -60,7 +60,6 @@ class GridOptions(Checked):
     surprise: Nats = number("GridOptions.surprise")
     #: share of p(x | z) that is then mixed in: sensor resetting
     share: Share = number("GridOptions.share")
-    resets: bool = True
     mass: Share = number("GridOptions.mass")  #: least mass of a ``unique`` place
     #: metres for which a place must be the best one before it is ``unique``
     sure: Metres = number("GridOptions.sure")
@@ -252,7 +251,7 @@ class GridFilter(ScannedFilter):
         if surprised:
             self._dense()
         if self._belief.shape[1:] == self.lattice.shape:
-            self._multiply_all(scan, new, mix=surprised and how.resets)
+            self._multiply_all(scan, new, mix=surprised)
         else:
             self._multiply_box(scan, new)
         laser.way, self._seen, self._last = np.zeros(2), True, laser

@@ -4,15 +4,29 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from imgloc.features.floor import as_located
 from imgloc.features.scanpoints import evenly
+from imgloc.filters.follow import Moment, Tracking, follow, moves
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
+from imgloc.lab.changes import sure_poses
+from imgloc.model import FloatArray, LaserScan, Pose2D, compose
 from imgloc.options import Chosen
-from imgloc.runs.jobs import Item
-from imgloc.runs.localize import Localize, Located, Locating
-from imgloc.runs.opening import Desk, held_bytes
+from imgloc.runs.localize import Locating
+from imgloc.runs.opening import held_bytes
 
 LOG = logging.getLogger("imgloc")
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Scans with a sure pose."""
+
+    given: int  #: scans that were located, with a sure pose or not
+    scans: tuple[LaserScan, ...]  #: the readings with which each was located
+    poses: FloatArray  #: (N, 3) of their sensor, map frame: metres, metres, radians
+    hints: list[str] = field(default_factory=list)  #: what keeps others from a sure pose
 
 
 @dataclass
@@ -40,24 +54,46 @@ class Once:
         return some
 
 
-def open_some(
-    job: Localize, item: Item, desk: Desk, most: int, once: Once | None = None
-) -> Locating:
-    """Open an item: at most so many of its scans, evenly spread, unless they are chosen.
+def some_of(run: Locating, most: int, once: Once | None = None) -> Locating:
+    """At most so many scans of a file, evenly spread, unless they are chosen.
 
     With `once` none that a file before had.
     """
-    run = job.open(item, desk)
-    if job.scans.chosen == Chosen():
+    if run.job.scans.chosen == Chosen():
         run = run.some(evenly(len(run), most).tolist())
     if once is not None:
         run = run.some(once.new(run.taken.scans.scans, run.taken.name))
-    desk.held += held_bytes(run.taken.scans.scans)
+    run.desk.held += held_bytes(run.taken.scans.scans)
     return run
 
 
-def hints_of(run: Locating, located: Sequence[Located]) -> list[str]:
-    """Causes that keep scans, located like those of a run, from a sure pose."""
+def placed(run: Locating, most: int, once: Once) -> Placed:
+    """Scans of a file, at most so many, at sure poses: where the file has odometry, along it.
+
+    Where a map has changed, few scans are sure of a place by themselves.
+    """
+    if run.job.scans.chosen == Chosen() and moves(run.taken.scans):
+        return _followed(run, most, once)
+    located = list(some_of(run, most, once))
+    sure, poses = sure_poses([one.of for one in located])
+    scans = tuple(as_located(located[k].scan, located[k].of.evidence) for k in sure)
     said = [(one.of.verdict, one.of.evidence) for one in located]
-    found = run.doubts(ScanSet(tuple(one.scan for one in located)), said)
-    return [hint.said for hint in found if hint.found]  # others lead to `imgloc map changes`
+    found = run.doubts(ScanSet(tuple(one.scan for one in located)), said) if located else []
+    hints = [hint.said for hint in found if hint.found]  # others lead to `imgloc map changes`
+    return Placed(len(located), scans, poses, hints)
+
+
+def _followed(run: Locating, most: int, once: Once) -> Placed:
+    """The whole log is followed; only scans that no file before had count."""
+    scans, made = run.taken.scans, Tracking().made(run.features, run.options)
+    new, sure = set(once.new(scans.scans, run.taken.name)), list[Moment]()
+    with run.desk.progress("track", len(scans)) as advance:
+        for moment in follow(run.features, scans, made, name=run.taken.name):
+            advance()
+            if moment.pose is not None and moment.index in new:
+                sure.append(moment)
+    some = [sure[k] for k in evenly(len(sure), most)]
+    seen = tuple(scans[one.index].scaled(one.scale) for one in some)
+    pairs = zip(some, seen, strict=True)
+    poses = (compose(m.pose, scan.T_base_laser or Pose2D(0.0, 0.0)) for m, scan in pairs if m.pose)
+    return Placed(len(new), seen, np.array([(p.x, p.y, p.theta) for p in poses]).reshape(-1, 3))

@@ -27,7 +27,6 @@ from imgloc.model import FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
 from imgloc.options import (
     ALL_METHODS,
-    FUSED,
     Count,
     Factor,
     Length,
@@ -59,10 +58,7 @@ class ParticleOptions(Checked):
     quantile: Annotated[float, Within(0, 10, "deviations")] = number("ParticleOptions.quantile")
     bins: tuple[Length, Step] = number("ParticleOptions.bins")  #: metres and radians
     noise: MotionNoise = field(default_factory=MotionNoise)
-    weigh_by: Annotated[str, OneOf(*ALL_METHODS)] = (
-        "fused"  #: method whose likelihood weighs the particles
-    )
-    rays: Count = number("ParticleOptions.rays")  #: number of readings for ``fused``
+    rays: Count = number("ParticleOptions.rays")  #: number of readings that weigh the particles
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("ParticleOptions.fresh")
     #: share of a scan's evidence that counts without any motion
@@ -70,7 +66,6 @@ class ParticleOptions(Checked):
     reset_by: Annotated[str, OneOf(*ALL_METHODS)] = (
         "ght-v"  #: method whose p(x | z) new particles are drawn from
     )
-    resets: bool = True
     #: rates of the long and the short mean of the likelihood
     alphas: tuple[Share, Share] = number("ParticleOptions.alphas")
     #: factor by which the short mean may lie below the long one without a reset
@@ -175,10 +170,7 @@ class ParticleFilter(ScannedFilter):
         new = float(np.clip((laser.way / how.fresh).sum(), how.least_new, 1.0))
         laser.way = np.zeros(2)
         seen = sight(self.features, view_of(scan, self._few), self.poses, self._few)
-        log = seen.log_likelihood
-        if how.weigh_by != FUSED:
-            log = self._log_density(scan, how.weigh_by)
-        log = log * new + self._cut(scan)
+        log = seen.log_likelihood * new + self._cut(scan)
         weights = self.weights * np.exp(log - log.max())
         self.weights = weights / weights.sum()
         # The mean has the present weights, so particles from the last reset count little.
@@ -188,7 +180,7 @@ class ParticleFilter(ScannedFilter):
         long, short = (mean, mean) if first else self._means.get(scan.laser, (mean, mean))
         long, short = long + slow * (mean - long), short + fast * (mean - short)
         self._means[scan.laser] = long, short
-        share = max(0.0, 1 - how.slack * short / max(1e-300, long)) if how.resets else 0.0
+        share = max(0.0, 1 - how.slack * short / max(1e-300, long))
         neff = 1 / float(np.square(self.weights).sum())
         if first or share > 0 or neff < len(self.weights) / 2:
             self._resample(scan, share)
@@ -223,11 +215,7 @@ class ParticleFilter(ScannedFilter):
         self._looks += 1
         if not self.how.cut or self._looks % self.how.cut:
             return np.zeros(len(self.poses))
-        return np.minimum(0.0, self._log_density(scan, "ght-v"))
-
-    def _log_density(self, scan: LaserScan, method: str) -> FloatArray:
-        """Logarithm of a method's p(x | z) at the particles, relative to a uniform density."""
-        options = replace(self.options, method=method)
+        options = replace(self.options, method="ght-v")
         stack = likelihood(self.features, scan, options)
         posterior = posterior_of(self.features, scan, stack, options)
         poses = view_of(scan, options).sensor(self.poses)
@@ -237,7 +225,7 @@ class ParticleFilter(ScannedFilter):
         density = np.zeros(len(cells))
         density[there] = posterior[k[there], cells[there, 0], cells[there, 1]]
         uniform = 1 / max(1, len(stack.thetas) * int(np.count_nonzero(self.features.free)))
-        return np.asarray(np.log(density / uniform + _FLOOR))
+        return np.asarray(np.minimum(0.0, np.log(density / uniform + _FLOOR)))
 
     @property
     def _few(self) -> Options:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError, ImglocError, ScanError, printable
-from imgloc.filters.belief import LOST, deviations_of, one_place
+from imgloc.filters.belief import LOST, deviations_of
 from imgloc.filters.follow import BLIND, Moment
 from imgloc.filters.watch import AGREES, DISAGREES, Opinion, Watch
 from imgloc.io.clouds import Cloud, seen_in_msg
@@ -39,7 +39,7 @@ from imgloc.io.messages import (
 from imgloc.live.line import Dropped
 from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
-from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Sighting, alone
+from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, LastPose, Sighting, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
 from imgloc.live.settings import CHANGING, MEASURED, Settings
 from imgloc.live.sites import Maker, Site
@@ -281,7 +281,7 @@ class LocalizerNode:
         self._first = math.inf  # monotonic seconds of the first scan
         self._moved = False  # whether there is odometry
         self._stood: Pose2D | None = None  # where a robot that stands was looked at, by odometry
-        self._sure_at: tuple[float, Pose2D] | None = None  # stamp and map_odom of that pose
+        self._last = LastPose()
         self._hints = deque[tuple[float, Hint]](maxlen=_HINTS)  # of the base, map frame, at a time
         self._claims = deque[tuple[float, Pose2D]](maxlen=_CLAIMS)  # of who is watched
         self._watch: Watch | None = None
@@ -573,7 +573,7 @@ class LocalizerNode:
         self._robot.reset()
         if len(self.core.names) > 1:
             self._robot.map = None  # on which floor is not known
-        self._took, self._stood, self._sure_at, self._followed = 0.0, None, None, False
+        self._took, self._stood, self._last, self._followed = 0.0, None, LastPose(), False
         self._era += 1
         self._asked = None
         self._tracked.clear()
@@ -776,8 +776,7 @@ class LocalizerNode:
         sure = moment.pose is not None and found.why != HINTED and fresh
         self._took = self.now - moment.stamp
         self._followed = self._followed or sure
-        if sure and moment.map_odom is not None:
-            self._sure_at = moment.stamp, moment.map_odom
+        holds = self._last.take(moment, sure=sure, longest=self.settings.max_age)
         if sure:
             self._remember(found.poses[0], moment.stamp, answer.map)
         shown, before = self.settings.track or self.first.wanted, self.first.state
@@ -785,7 +784,7 @@ class LocalizerNode:
         if self.first.believed(Sighting(moment.stamp, found.pose, new), self.now):
             self._publish(found, asked)
         if shown:
-            self._show(found, asked, sure=sure or (self._sure and self._holds(moment)))
+            self._show(found, asked, sure=holds)
         if sure and self.settings.track:
             header = self.made.header(asked.stamp, self._map_frame)
             self._pose.publish(self.made.pose(found.poses[0], moment.covariance, header))
@@ -803,21 +802,6 @@ class LocalizerNode:
             self._robot.map = None
         if self.first.state != before:
             self._report()
-
-    def _holds(self, moment: Moment) -> bool:
-        """Whether the last sure pose still holds, though this scan alone does not confirm it.
-
-        It does for `max_age`, while the belief stays where the odometry has carried it.
-        """
-        if self._sure_at is None or moment.map_odom is None or moment.best is None:
-            return False
-        stamp, before = self._sure_at
-        odom = compose(inverse(moment.map_odom), moment.best)
-        return (
-            moment.belief.verdict != LOST
-            and moment.stamp - stamp <= self.settings.max_age
-            and one_place(compose(before, odom), moment.best)
-        )
 
     # What is said.
 

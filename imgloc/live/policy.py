@@ -33,8 +33,10 @@ or after `metres` of driving is due.
 import math
 from dataclasses import dataclass
 
+from imgloc.filters.belief import LOST, one_place
+from imgloc.filters.follow import Moment
 from imgloc.live.settings import MEASURED, Rules
-from imgloc.model import Localization, Pose2D
+from imgloc.model import Localization, Pose2D, compose, inverse
 
 WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
     "waiting", "trying", "confirmed", "quiet", "given up",
@@ -116,6 +118,32 @@ class FirstPose:
     def published(self) -> None:
         """Take note that the pose which was confirmed is out."""
         self.state = QUIET
+
+
+class LastPose:
+    """Whether a pose holds: the last sure one does, though a scan alone does not confirm it.
+
+    It does for so many seconds, while the belief stays where the odometry has carried it.
+    """
+
+    def __init__(self) -> None:
+        self._at: tuple[float, Pose2D] | None = None  # stamp and map_odom of the last sure pose
+
+    def take(self, moment: Moment, *, sure: bool, longest: float) -> bool:
+        """Take what is believed after a scan, and whether its pose is `sure`; `longest` in s."""
+        if sure:
+            self._at = None if moment.map_odom is None else (moment.stamp, moment.map_odom)
+        elif self._at is not None and not self._holds(moment, longest):
+            self._at = None
+        return sure or self._at is not None
+
+    def _holds(self, moment: Moment, longest: float) -> bool:
+        if self._at is None or moment.map_odom is None or moment.best is None:
+            return False
+        stamp, before = self._at
+        odom = compose(inverse(moment.map_odom), moment.best)
+        young = moment.belief.verdict != LOST and moment.stamp - stamp <= longest
+        return young and one_place(compose(before, odom), moment.best)
 
 
 def alone(answer: Localization) -> bool:

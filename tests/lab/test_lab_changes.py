@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -208,6 +209,20 @@ def test_several_logs_count_together(logs):
     assert both["given"] == 8
     assert both["gone_m"] > 1.5
     assert aged("logs/a.npz")["given"] == 4
+
+
+def test_a_log_with_odometry_is_followed_and_so_scans_count_that_see_little(logs, moved):
+    way = np.column_stack((np.arange(1.0, 7.0, 0.3), np.full(20, 4.3), np.zeros(20)))
+    scans = [
+        replace(scan, ranges=np.where(np.abs(ANGLES) < 0.4, scan.ranges, np.nan)) if k % 2 else scan
+        for k, scan in enumerate(scanned(moved[1], way))
+    ]
+    save_scans("way.npz", ScanSet(tuple(scans), odom=way))
+    alone, along = aged("way.npz", "--scans-index", "0:20"), aged("way.npz")
+    assert alone["given"] == along["given"] == 20
+    assert along["scans"] > alone["scans"] + 2
+    assert along["gone_m"] > 0.9
+    assert aged("way.npz", "way.npz") == along
 
 
 def test_a_scan_that_several_files_have_counts_once(logs):

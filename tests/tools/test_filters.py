@@ -24,9 +24,8 @@ def run(error, unique=None, jump=None, seconds=None, cost=1.0) -> Run:
     unique = np.ones(n) if unique is None else np.asarray(unique, dtype=float)
     both = np.column_stack((error, np.zeros(n)))
     square = np.square(error / 0.1)
-    return Run(
-        seconds, np.arange(n) * 1.0, both, unique, np.zeros(n), cost, 0.1 * both, square, jump
-    )
+    none, way = np.zeros(n), np.arange(n) * 1.0
+    return Run(seconds, way, both, unique, none, cost, 0.1 * both, square, unique, jump)
 
 
 def test_a_kidnapping_joins_two_pieces_and_odometry_notices_nothing() -> None:

@@ -74,7 +74,7 @@ def align(
         moved_yaml,
         read_poses,
     )
-    from imgloc.lab.located import open_some
+    from imgloc.lab.located import some_of
     from imgloc.model import to_json
     from imgloc.runs.localize import Localize
 
@@ -90,7 +90,7 @@ def align(
     if scans is not None:
         job = Localize(maps=maps, scans=inputs.as_recorded(logs, chosen, mounting))
         items = [inputs.item_of(path, scans) for path in paths]
-        answers = [[one.of for one in open_some(job, item, desk, _SCANS)] for item in items]
+        answers = [[one.of for one in some_of(job.open(item, desk), _SCANS)] for item in items]
         by_scans = align_scans(list(zip(*answers, strict=True)))
     found = align_maps(grids[0], grids[1], scale=scale, scans=by_scans)
     row: dict[str, Any] = {"a": display(a_path), "b": display(b_path), **found.as_row()}

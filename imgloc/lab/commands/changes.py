@@ -39,17 +39,19 @@ def changes(
 ) -> None:
     """Find where a map has aged: walls that rays pass (gone), surfaces where it has none (new).
 
-    Each scan is located without a guess, and only those that are unique count. A change needs 3
-    scans from 2 places or times, so passers-by are not counted. Of a file with more than 300 scans
-    300 are taken, evenly spread, unless --scans-index or --sample chooses. A scan counts
+    A log with odometry is followed from anywhere; else each scan is located without a guess. Only
+    those that are unique count. A change needs 3 scans from 2 places or times, so passers-by are
+    not counted. Of a file with more than 300 such scans 300 are taken, evenly spread.
+    --scans-index or --sample chooses scans, which are located one by one. A scan counts
     once: one with the same stamp, ranges and angles as another, in a file before, is left out.
     """
+    import numpy as np
+
     from imgloc.cli import inputs
-    from imgloc.features.floor import as_located
     from imgloc.io.files import map_name
     from imgloc.io.maps import save_map
-    from imgloc.lab.changes import map_changes, sure_poses
-    from imgloc.lab.located import Once, hints_of, open_some
+    from imgloc.lab.changes import map_changes
+    from imgloc.lab.located import Once, placed
     from imgloc.lab.picture import draw_changes
     from imgloc.model import to_json
     from imgloc.runs.localize import Localize
@@ -69,13 +71,11 @@ def changes(
     job = Localize(maps=inputs.map_files(reading), scans=files)
     grid = desk.grid(map_path, job.maps, usable=True)
     once = Once()
-    runs = [
-        open_some(job, inputs.item_of(map_path, path), desk, _SCANS, once) for path in scans_paths
-    ]
-    located = [one for run in runs for one in run]
-    sure, poses = sure_poses([one.of for one in located])
-    scans = [as_located(located[k].scan, located[k].of.evidence) for k in sure]
-    found, count = map_changes(grid, scans, poses), len(located)
+    runs = (job.open(inputs.item_of(map_path, path), desk) for path in scans_paths)
+    parts = [placed(run, _SCANS, once) for run in runs]
+    scans = [scan for part in parts for scan in part.scans]
+    found = map_changes(grid, scans, np.concatenate([part.poses for part in parts]))
+    count = sum(part.given for part in parts)
     if out is not None:
         title = f"{map_name(map_path)}: changes by {found.seen.scans} scans with a sure pose"
         draw_changes(found, title).save(out, force=force)
@@ -86,5 +86,5 @@ def changes(
     for path in (out, update):
         if path is not None:
             say(f"wrote {display(path)}")
-    for hint in hints_of(runs[0], located):
+    for hint in dict.fromkeys(hint for part in parts for hint in part.hints):
         LOG.warning("%s", hint)
