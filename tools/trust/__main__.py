@@ -2,9 +2,6 @@
 
     python -m tools.trust reliability -n 100                          # scans in each world
     python -m tools.trust reliability --sets ../data/*/map.yaml       # and recorded ones
-    python -m tools.trust robustness --out robustness.json            # 20 scans in five worlds
-    python -m tools.trust robustness --quick                          # 3 in two
-    python -m tools.trust robustness --sets ../data/*/map.yaml        # recorded scans instead
     python -m tools.trust completeness --sets ../data/*/map.yaml      # beside a wider search
     python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust precision --sets ../data/*/map.yaml         # covariances
@@ -35,7 +32,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc import ConfigError, MapFeatures, Options, ScanSet, Sensor, Trust, load_map, prepare
+from imgloc import MapFeatures, Options, ScanSet, Sensor, Trust, load_map, prepare
 from imgloc.cli.inputs import maps_in
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps
@@ -82,18 +79,9 @@ from tools.trust.levels import (
 from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
 from tools.trust.precision import TRUTH, Precision, knowing, precision, precision_table
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
-from tools.trust.robustness import (
-    CONDITIONS,
-    RobustnessRow,
-    recorded_row,
-    robustness,
-    robustness_table,
-)
 from tools.trust.things import things
 from tools.trust.thousand import ask_thousand, make_thousand
 
-QUICK = ("visibility", "curved")
-POINTS, POINTS_RECORDED = 5.0, 2.0  # that localize may lie behind the oracle
 NOISES = (0.01, 0.02, 0.05, 0.1)  # metres
 EXACT = (1e-6, 1e-6, 1e-6)  # metres, metres, radians: a pose that scans were simulated at
 SURE = (0.5, 0.9)
@@ -181,51 +169,6 @@ def run_reliability(given: argparse.Namespace) -> int:
         groups = {"simulated": rows} | ({"recorded": reliability(told)[0]} if told else {})
         write_bytes_atomic(given.picture, encode_png(draw_reliability(groups)), force=given.force)
     return 0
-
-
-def run_robustness(given: argparse.Namespace) -> int:
-    """How robust is `imgloc localize`? Success in many conditions, beside the oracle's.
-
-    The oracle is the same score, ranked at every pose 0.1 m and 1 degree apart (0.2 m on very large
-    maps); the best are refined, and join what localize finds. Prints a Markdown table. Right is
-    within 0.5 m and 10 degrees; poses within 0.1 nat of the best are equals, and `ties` are the
-    scans that have some. Exits with 1 where localize is more than 5 points (2 on recorded scans)
-    behind.
-    """
-    n = given.n if given.n is not None else 3 if given.quick else 20
-    if given.threads < 1:
-        raise ConfigError(f"--threads: got {given.threads}, expected at least 1")
-    cv2.setNumThreads(given.threads)
-    if given.out is not None and not given.force:
-        refuse_existing(given.out)
-    about: dict[str, object]
-    rows: Sequence[RobustnessRow]
-    if given.sets:
-        sets = recorded_sets(given.sets, n, given.seed, given.range_max)
-        about = {"sets": [name for name, *_ in sets], "range_max": given.range_max}
-        with progress("robustness", sum(len(scans) for _, _, scans in sets)) as advance:
-            rows = [
-                recorded_row(
-                    name, prepare(grid, name, threads=given.threads), scans,
-                    threads=given.threads, advance=advance,
-                )
-                for name, grid, scans in sets
-            ]  # fmt: skip
-    else:
-        worlds = QUICK if given.quick else tuple(WORLDS)
-        worlds = worlds if given.worlds is None else tuple(given.worlds.split(","))
-        about, conditions = {"worlds": worlds}, given.conditions.split(",")
-        with progress("robustness", n * len(worlds) * len(conditions)) as advance:
-            rows = robustness(
-                n, given.seed, worlds=worlds, conditions=conditions, threads=given.threads,
-                advance=advance,
-            )  # fmt: skip
-    if given.out is not None:
-        results = {"n": n, "seed": given.seed, **about, "rows": list(map(asdict, rows))}
-        write_text_atomic(given.out, to_json(results) + "\n", force=given.force)
-    print(robustness_table(rows))
-    most = POINTS_RECORDED if given.sets else POINTS
-    return 0 if all(row.behind <= most for row in rows) else 1
 
 
 def run_completeness(given: argparse.Namespace) -> int:
@@ -460,16 +403,9 @@ OPTIONS: Mapping[str, dict[str, Any]] = {
     "--maps": {"type": Path, "nargs": "*", "default": [], "help": "more maps, without scans"},
     "--same": {"action": "append", "default": [], "help": "names of one building"},
     "--workers": {"type": int, "default": _CORES},
-    "--threads": {"type": int, "default": _CORES},
     "--picture": {"type": Path, "help": "PNG to write"},
-    "--out": {"type": Path, "help": "JSON file to write, too"},
     "--force": {"action": "store_true", "help": "overwrite what is written"},
     "--write": {"action": "store_true", "help": "put what is fitted into numbers.json"},
-    "--conditions": {
-        "default": ",".join(CONDITIONS), "metavar": "NAMES",
-        "help": "with commas between (default: all)",
-    },
-    "--quick": {"action": "store_true", "help": "-n 3 --worlds visibility,curved"},
     "--hold-temperature": {
         "action": "store_true", "help": "fit only the log-odds of being elsewhere",
     },
@@ -486,9 +422,6 @@ OPTIONS: Mapping[str, dict[str, Any]] = {
 TOOLS: Sequence[tuple[Any, ...]] = (
     (run_reliability, 100, 7, "scans of each world or set", "--sets", "--range-max", "--picture",
      "--force"),
-    (run_robustness, None, 100, "scans in each world or set (default: 20)", "--sets", "--range-max",
-     "--out", ("--worlds", {"default": None, "help": "with commas between (default: all five)"}),
-     "--conditions", "--quick", "--threads", "--force"),
     (run_completeness, 40, 7, "scans of each world or set", "--sets", "--range-max", "--worlds",
      "--workers"),
     (run_fit, 30, 5, "scans of each world or set", "--sets", "--range-max", "--worlds", "--maps",
