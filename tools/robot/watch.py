@@ -179,7 +179,7 @@ def faults(n: int, seed: int, places: Sequence[Place] = ()) -> Iterator[Noticed]
     for k in range(n):
         if not places and k % (each * len(SIMULATED)) == 0:
             some = [simulated(name, _DRIVEN, seed + 10 * k) for name in SIMULATED]
-        at = k // each % len(some)
+        at = (k + k // each) % len(some)  # each fault comes to each place, in turn
         others: list[Place | None] = [p for p in some if p.features is not some[at].features]
         rng = np.random.default_rng((seed, k))
         one = noticed(
