@@ -86,3 +86,17 @@ def test_track_says_what_it_thinks_of_a_trajectory(tmp_path, drive) -> None:
     late.write_text("9999 0 0 0 0 0 0 1\n9999.5 0 0 0 0 0 0 1\n")
     found = call("track", MAPS / "double_wall.yaml", log, "--watch", late)
     found.ends(4, "late.tum: no pose has a stamp before that of the last scan")
+
+
+def test_a_scan_that_fits_nowhere_outweighs_no_place_that_the_scans_before_hold(
+    features, drive
+) -> None:
+    own = imgloc.Tracking().follower(features, imgloc.Options())
+    for scan, odom, stamp in zip(drive.scans[:30], drive.odom, drive.stamps, strict=False):
+        moment = own.step(replace(scan, stamp=float(stamp)), odom)
+    odd = replace(scan, ranges=np.full(len(scan.ranges), 4.0))
+    ambiguous = replace(moment, belief=replace(moment.belief, verdict="ambiguous"))
+    for withheld, expected in (("unconfirmed", CANNOT), ("", DISAGREES)):
+        watch, held = Watch(features, imgloc.Options()), replace(ambiguous, withheld=withheld)
+        watch.hear(0.0, moment.best, None)
+        assert [watch.step(odd, None, held, at).said for at in (1.0, 2.0)] == [CANNOT, expected]

@@ -12,7 +12,7 @@ import numpy as np
 from imgloc.answers.fit import fit_at
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
-from imgloc.filters.follow import BLIND, Moment
+from imgloc.filters.follow import BLIND, UNCONFIRMED, Moment
 from imgloc.geometry import wrap
 from imgloc.model import LaserScan, Pose2D, base_of, compose, inverse, plain
 from imgloc.numbers import number
@@ -118,14 +118,19 @@ class Watch:
         if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
             return None
         self._looked = stamp
-        return self._alone(scan, claim)
+        return self._alone(scan, claim, moment)
 
-    def _alone(self, scan: LaserScan, claim: Pose2D) -> tuple[str, str, Pose2D | None]:
-        """One scan on the whole map against the pose."""
+    def _alone(
+        self, scan: LaserScan, claim: Pose2D, moment: Moment
+    ) -> tuple[str, str, Pose2D | None]:
+        """One scan on the whole map against the pose; it alone outweighs no place that holds."""
         answer = localize(self.features, scan, self.options)
         mount = scan.T_base_laser or Pose2D(0.0, 0.0)
         if answer.verdict == UNIQUE:
             return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
+        own = moment.best if moment.withheld == UNCONFIRMED else None
+        if own is not None and self._beside(claim, own)[0] == AGREES:
+            return CANNOT, "the scans before are for it, and this one fits no place", None
         fit = fit_at(self.features, scan, compose(claim, mount), self.options, settle=True)
         if answer.verdict == "invalid" or not fit.explained < _EXPLAINED:
             return CANNOT, "several places fit, or the scan says little", None
