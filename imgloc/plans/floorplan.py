@@ -254,11 +254,6 @@ def _walls(
     solid = masks.opened(bold, least) | between.body
     rough, _ = building.standing(masks.opened(solid, least), drawn, pixel)
     swings = _swings(drawn, rough, pixel)
-    # The leaf of a door may be as thick as the thinnest wall, and hide its own swing.
-    bolder, _ = building.standing(masks.opened(solid, _LEAF_THICK / pixel), drawn, pixel)
-    for swing in _swings(drawn, bolder, pixel):
-        if all(np.hypot(*(swing.hinge - s.hinge)) > _HANGS / pixel for s in swings):
-            swings.append(swing)
     thick, leaf = between.thickest / pixel, _LEAF_THICK / pixel
     solid = _without_leaves(solid, between.holes, swings, thick, leaf)
     walls, pillars = building.standing(masks.opened(solid, least), drawn, pixel)
