@@ -129,6 +129,9 @@ class OccupancyGrid(ByContent):
         Side of a cell, metres.
     origin : Pose2D
         Pose of the lower-left corner of cell ``[0, 0]`` in the map frame.
+    movable : (H, W) bool array, optional
+        Cells, free else, in which something may stand or not, as furniture or the leaf of a door.
+        The default method of `localize` asks both.
 
     Examples
     --------
@@ -141,10 +144,13 @@ class OccupancyGrid(ByContent):
     free: BoolArray
     resolution: float
     origin: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
+    movable: BoolArray | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, np.bool_, "occupied", "free")
+        freeze(self, np.bool_, "occupied", "free", *["movable"] * (self.movable is not None))
         occupied, free = self.occupied.shape, self.free.shape
+        if self.movable is not None and self.movable.shape != occupied:
+            raise ValueError(f"movable {self.movable.shape} must have the shape {occupied}")
         if len(occupied) != 2 or occupied != free:
             raise ValueError(f"occupied {occupied} and free {free} must be images of one shape")
         if np.any(self.occupied & self.free):
@@ -172,6 +178,14 @@ class OccupancyGrid(ByContent):
     def diagonal(self) -> float:
         """From one corner of the map to the opposite one, metres."""
         return math.hypot(*self.occupied.shape) * self.resolution
+
+    @property
+    def furnished(self) -> "OccupancyGrid":
+        """The map on which all that is movable stands."""
+        stands = self.free & (False if self.movable is None else self.movable)
+        return OccupancyGrid(
+            self.occupied | stands, self.free & ~stands, self.resolution, self.origin
+        )
 
     @property
     def unknown(self) -> BoolArray:

@@ -214,7 +214,7 @@ def find_modes_by_steps(
     features: MapFeatures, scan: LaserScan, options: Options, *, more: FloatArray | None = None
 ) -> Generator[None, None, Modes]:
     """Search as :func:`find_modes` does, and pause after each step; return the modes."""
-    fused, prior = options.fused, options.prior
+    fused = options.fused
     end = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
     # Thin the readings to one for each place. Take few for a first look, more for a second.
@@ -228,9 +228,10 @@ def find_modes_by_steps(
     looked, score = look(features, proposals, few, options)
     yield
 
-    # If none of them fits, a thing may hold half of the readings: others propose without it.
+    # If none of them fits, a thing may hold half of the readings: others propose without it. Where
+    # things are drawn they may fit at a wrong place.
     unfit = not len(looked) or score[0] < (options.model.best - fused.unfit) * len(few)
-    if unfit and more is None:
+    if (unfit or features.furnished is not None) and more is None:
         others = [np.empty((0, 3))]
         for part in seen.parts():
             if time.monotonic() < end:
@@ -242,26 +243,28 @@ def find_modes_by_steps(
     looked = looked[:_LAST] if late else looked
 
     # Refine the best with more readings, in free space; score them, and separate the modes.
-    poses = refine(looked, many.xy, features.field, sigmas=_SECOND_LOOK)
-    poses = standing(poses, prior, features)
+    poses = _refined(looked, many, features, _SECOND_LOOK, options)
     scores = score_poses(features, many, poses, options.model)
     poses, scores, spread = separate(features, poses, scores, len(many), options)
     return Modes(poses, scores, many, complete=not late, looked=looked, spread=spread)
 
 
 def propose(features: MapFeatures, few: Readings, options: Options, end: float) -> FloatArray:
-    """Propose poses by endpoint correlation.
+    """Propose poses by endpoint correlation, with and without what is movable.
 
     The result (M, 3) is in the grid frame: metres, metres, radians. Only the best poses are
     returned if the time is past `end`, seconds by :func:`time.monotonic`.
     """
     fused, prior = options.fused, options.prior
-    levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
-    poses, _ = propose_endpoints(
-        levels, few.xy, theta_step=fused.theta_step, keep=fused.keep[: len(levels)],
-        skip=fused.skip, worse=fused.worse, prior=prior, threads=options.threads,
-    )  # fmt: skip
-    return poses[: fused.second_look] if time.monotonic() >= end else poses
+    found = []
+    for there in features.both:
+        levels = pyramid_levels(prior, there.pyramid, there.grid.resolution)
+        poses, _ = propose_endpoints(
+            levels, few.xy, theta_step=fused.theta_step, keep=fused.keep[: len(levels)],
+            skip=fused.skip, worse=fused.worse, prior=prior, threads=options.threads,
+        )  # fmt: skip
+        found.append(poses[: fused.second_look] if time.monotonic() >= end else poses)
+    return np.concatenate(found)
 
 
 def look(
@@ -275,10 +278,17 @@ def look(
 
     These are poses (L, 3) in the grid frame and their scores (L,) in nats, best first.
     """
-    poses = refine(proposals, few.xy, features.field, sigmas=_FIRST_LOOK)
-    poses = standing(poses, options.prior, features)
+    poses = _refined(proposals, few, features, _FIRST_LOOK, options)
     poses = poses if before is None else np.concatenate((before, poses))
     return shortlist(poses, few, features, options)
+
+
+def _refined(
+    poses: FloatArray, seen: Readings, features: MapFeatures, sigmas: Any, options: Options
+) -> FloatArray:
+    """Refine poses (M, 3), with and without what is movable; those at which a sensor can be."""
+    moved = [refine(poses, seen.xy, there.field, sigmas=sigmas) for there in features.both]
+    return standing(np.concatenate(moved), options.prior, features)
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
@@ -306,7 +316,8 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         return options.model.best - options.shared.usual - found.mean_score
 
     found = find(options.shared)
-    if not found.complete or not len(found.poses):
+    # With furniture that may be gone any scale would fit somewhere.
+    if not found.complete or not len(found.poses) or features.furnished is not None:
         return found
     try:
         if lacks(found) > fused.strained:

@@ -227,13 +227,15 @@ def test_save_and_load_give_the_same_map(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     kind = rng.integers(0, 3, (7, 5))
     origin = Pose2D(-1 / 3, 1e-7, 0.1 + 0.2)
-    grid = OccupancyGrid(kind == 0, kind == 1, 0.05, origin)
+    grid = OccupancyGrid(
+        kind == 0, kind == 1, 0.05, origin, (kind == 1) & (rng.random((7, 5)) < 0.5)
+    )
     image = save_map(tmp_path / "a map: #1.yaml", grid)
     assert image.name == "a map: #1.png"
     again = load_map(tmp_path / "a map: #1.yaml")
-    np.testing.assert_array_equal(again.occupied, grid.occupied)
-    np.testing.assert_array_equal(again.free, grid.free)
-    assert (again.resolution, again.origin) == (grid.resolution, origin)
+    assert again == grid
+    np.testing.assert_array_equal(again.furnished.occupied, grid.occupied | grid.movable)
+    assert load_map(image, resolution=0.05).movable is None  # as map_server reads it
     ros1 = load_map(tmp_path / "a map: #1.yaml", semantics="ros1")
     np.testing.assert_array_equal(ros1.unknown, grid.unknown)
 

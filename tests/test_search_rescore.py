@@ -109,6 +109,22 @@ def test_the_score_equals_the_loops(seed, model):
         assert got.explained[i] == pytest.approx(sum(fits) / len(fits))
 
 
+@pytest.mark.parametrize("model", [EvidenceModel(), EvidenceModel().bending(0.15)])
+def test_a_piece_is_seen_with_or_without_what_is_movable(model):
+    wall, poses, rng = room_with_pillars(5)
+    grid = OccupancyGrid(wall, ~wall, RESOLUTION, movable=rng.random(wall.shape) < 0.01)
+    readings = Readings(np.full(9, 1.5), np.linspace(0, 0.3, 9))  # one piece
+    bare, full, both = (
+        score_poses(MapFeatures(each), readings, poses, model)
+        for each in (OccupancyGrid(wall, ~wall, RESOLUTION), grid.furnished, grid)
+    )
+    told = bare.log_likelihood, full.log_likelihood
+    np.testing.assert_allclose(both.log_likelihood, np.logaddexp(*told) - math.log(2))
+    rather = (told[1] > told[0])[:, None]
+    assert 0 < rather.sum() < len(poses)
+    assert (both.on_surface == np.where(rather, full.on_surface, bare.on_surface)).all()
+
+
 def naive_pieces(ranges, angles):
     """Indices of the readings in pieces of 20 degrees without a jump of 0.5 m."""
     order = sorted(range(len(angles)), key=lambda k: angles[k])

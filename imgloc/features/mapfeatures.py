@@ -134,6 +134,16 @@ class MapFeatures:
         return read_only(distance_image(self.grid.occupied))
 
     @cached_property
+    def furnished(self) -> "MapFeatures | None":
+        """Features of the map on which all that is movable stands; None if nothing is."""
+        return None if self.grid.movable is None else replace(self, grid=self.grid.furnished)
+
+    @property
+    def both(self) -> "tuple[MapFeatures, ...]":
+        """Features of the bare map, and of the furnished one if it names what is movable."""
+        return (self,) if self.furnished is None else (self, self.furnished)
+
+    @cached_property
     def thickness(self) -> float:
         """Median thickness of the walls, metres: others draw them thicker than scans show them."""
         return wall_thickness(self.field.distance)
@@ -170,13 +180,14 @@ class MapFeatures:
         That includes the same map with walls up to `thinnest` cells thinner, but of a small map
         only. On a very large map (see :attr:`peels`) only what each answer uses is computed.
         """
-        _ = self.field, self.walls, self.standable, self.free, self.pyramid
+        for there in self.both:
+            _ = there.field, there.walls, there.standable, there.free, there.pyramid
         if self.peels:
             _ = self.thickness
             ahead = thinnest if self.grid.occupied.size <= AHEAD_CELLS else 0
             for cells in range(1, ahead + 1):
                 there = self.thinner(cells)
-                _ = there.field, there.walls, there.standable, there.pyramid
+                _ = there.field, there.walls, there.standable, there.pyramid, there.furnished
         return self
 
     @cached_property
@@ -265,7 +276,7 @@ class MapFeatures:
             (height, width), points=points, n_psi=self.n_psi, factor=self.factor, seeing=seeing
         )
         gradients = 48 if method == "cbml-o" and self.vmap_from == "image" else 0
-        return need + gradients * int(height * width)
+        return len(self.both) * (need + gradients * int(height * width))
 
 
 def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

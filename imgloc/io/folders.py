@@ -62,5 +62,7 @@ def find_maps(
         found = sorted({*yamls, *(path for path in bare if os.path.realpath(path) not in drawn)})
     if not found:
         hint = f"; pass `resolution` to use its {len(bare)} images as maps" if bare else ""
+        plans = [path for path in files if path.suffix.lower() in (".dxf", ".svg", ".pdf")]
+        hint += f"; `imgloc map plan` makes maps of its {len(plans)} drawings" if plans else ""
         raise ConfigError(f"{name}: no map, expected map_server YAML files (*.yaml){hint}")
     return found

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("imgloc")
 SEMANTICS = ("nav2", "ros1")
 _THRESHOLDS: dict[str, Any] = {"occupied_thresh": 0.65, "free_thresh": 0.196}
+_MOVABLE = 230  # grey level of what may stand there or not: free by these thresholds
 _DEFAULTS = _THRESHOLDS | {"mode": "trinary", "semantics": "nav2", "negate": False}
 _POSE = "[x, y, yaw] in metres and radians"
 _NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
@@ -334,7 +335,8 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
     path_yaml : path
         ConfigError if it does not end in ``.yaml`` or ``.yml``; OutputError if not written.
     grid : OccupancyGrid
-        Occupied is written as 0, free as 254, unknown as 205, as by map_saver.
+        Occupied is written as 0, free as 254, unknown as 205, as by map_saver. What is movable is
+        230, which map_server takes for free, and the key `movable` of the YAML.
     force : bool
         Overwrite files that exist, otherwise an OutputError.
     """
@@ -346,6 +348,8 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
         refuse_existing(file)
     pixels = np.full(grid.occupied.shape, 205, np.uint8)
     pixels[grid.free] = 254
+    if grid.movable is not None:
+        pixels[grid.movable & grid.free] = _MOVABLE
     pixels[grid.occupied] = 0
     said = {
         "image": png.name,
@@ -354,6 +358,7 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
         "negate": 0,
         **_THRESHOLDS,
         "mode": "trinary",
+        **({} if grid.movable is None else {"movable": _MOVABLE}),
     }
     text = yaml.safe_dump(said, sort_keys=False, allow_unicode=True)
     write_bytes_atomic(png, encode_png(pixels[::-1]), force=force)
@@ -373,6 +378,8 @@ def yaml_text(settings: MapSettings, folder: Path) -> str:
         "free_thresh": settings.free_thresh,
         "mode": settings.mode,
     }
+    if settings.yaml is not None and settings.yaml.movable is not None:
+        said["movable"] = settings.yaml.movable
     return str(yaml.safe_dump(said, sort_keys=False, allow_unicode=True))
 
 
@@ -485,7 +492,11 @@ def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
     free = (values >= 0) & (values <= low)
     occupied = values >= high
     occupied.flags.writeable = free.flags.writeable = False  # nobody else has them: no copies
-    return OccupancyGrid(occupied, free, settings.resolution, settings.origin)
+    movable = None
+    if settings.yaml is not None and settings.yaml.movable is not None:
+        sums, channels = channel_sum(image.pixels)
+        movable = (sums == settings.yaml.movable * channels)[::-1] & free
+    return OccupancyGrid(occupied, free, settings.resolution, settings.origin, movable)
 
 
 def occupancy(image: MapImage, settings: MapSettings) -> npt.NDArray[np.int8]:

@@ -14,7 +14,7 @@ from imgloc.io.plainyaml import plain_yaml
 from imgloc.model import Pose2D
 
 MAX_YAML_BYTES = 65_536
-_MOST = 256  # keys and values; imgloc knows eight keys
+_MOST = 256  # keys and values; imgloc knows nine keys
 MODES = ("trinary", "scale", "raw")
 RESOLUTION_RANGE = (0.001, 10.0)
 # YAML 1.1, hence PyYAML, takes `5e-2` and `-.5` for strings.
@@ -57,6 +57,7 @@ _CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
     ("origin", _pose, "a yaw in radians, -6.2832 to 6.2832"),
     ("occupied_thresh", _number_in(0, 1), "an occupancy from 0 to 1"),
     ("free_thresh", _number_in(0, 1), "an occupancy from 0 to 1"),
+    ("movable", _number_in(1, 254), "a grey level of the image, 1 to 254"),
 )
 """Keys of the YAML: what makes a value of them, or None of a wrong one, and what is expected."""
 _KEYS = frozenset(key for key, _, _ in _CHECKS)
@@ -74,6 +75,7 @@ class MapYaml:
     negate: bool | None = None  #: whether white is occupied
     occupied_thresh: float | None = None  #: an occupancy, 0..1, as the next
     free_thresh: float | None = None
+    movable: float | None = None  #: grey level of what may stand there or not; map_server: free
     unknown_keys: tuple[str, ...] = ()  #: mean nothing here; often a slip of the pen
 
     @property

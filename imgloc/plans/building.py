@@ -300,12 +300,13 @@ def enclosed(taken: BoolArray, radius: float) -> BoolArray:
 def finished(
     walls: BoolArray, inside: BoolArray, kinds: npt.NDArray[np.uint8], cell: float, corner: Pose2D,
     doors: Sequence[float], more: BoolArray | None = None, hidden: BoolArray | None = None,
-    **found: Any,
+    movable: BoolArray | None = None, **found: Any,
 ) -> FloorPlan:  # fmt: skip
     """Make the map of a building of its walls, pixels, and of the cells inside.
 
     `corner` is the pose of the first cell, `doors` are widths in metres; `more` pixels are
-    occupied, cells with `hidden` pixels are unknown. The rest is what else was found.
+    occupied, cells with `hidden` pixels are unknown, with `movable` ones they may be taken or not.
+    The rest is what else was found.
     """
     parts = len(walls) // len(inside)
     pixel, middle = cell / parts, skeletonize(walls)
@@ -314,7 +315,7 @@ def finished(
     _, _, wide, tall = cv2.boundingRect(walls.astype(np.uint8))
     solid = walls if more is None else walls | more
     return FloorPlan(
-        grid=_as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden),
+        grid=_as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden, movable),
         kinds=kinds,
         pixel=pixel,
         size=(wide * pixel, tall * pixel),
@@ -329,7 +330,7 @@ def finished(
 
 def _as_grid(
     walls: BoolArray, middle: BoolArray, inside: BoolArray, cell: float, origin: Pose2D,
-    hidden: BoolArray | None = None,
+    hidden: BoolArray | None, movable: BoolArray | None,
 ) -> OccupancyGrid:  # fmt: skip
     """The map, cropped to the building, half a metre around it."""
     parts = len(walls) // len(inside)
@@ -346,8 +347,11 @@ def _as_grid(
     rows, columns = slice(y, y + high), slice(x, x + wide)
     turned = rotation(origin.theta) @ (left * cell, low * cell)
     corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
+    stands = None
+    if movable is not None and movable.any():  # a line of one pixel takes a cell that it crosses
+        stands = np.pad((free & (masks.coarser(movable, parts) * parts > 0.75))[rows, columns], pad)
     return OccupancyGrid(
-        np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner
+        np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner, stands
     )
 
 

@@ -504,17 +504,15 @@ def _map_of(
     at = sheet.corner + np.array((columns.start, rows.start)) * cell
     at = rotation(origin.theta) @ at
     corner = Pose2D(origin.x + at[0], origin.y + at[1], origin.theta)
-    more, within = np.zeros_like(walls), masks.finer(inside, n)
-    if doors == "closed":
-        more |= shut & within
-    if furniture:
-        more |= (kinds == Kind.SYMBOL) & within
+    more, movable, within = np.zeros_like(walls), np.zeros_like(walls), masks.finer(inside, n)
+    (more if doors == "closed" else movable)[shut & within] = True
+    (more if furniture else movable)[(kinds == Kind.SYMBOL) & within] = True
     hidden = masks.grown(shut, round(0.1 / sheet.pixel)) & ~walls if doors == "unknown" else None
     apart = inside & ~masks.grown(masks.coarser(walls | shut, n) > 0, 1)
     rooms = masks.pieces(apart, 4)[1][1:, cv2.CC_STAT_AREA] * cell**2
     return building.finished(
         walls, inside, kinds, cell, corner, [d.width * sheet.unit for d in floor.leaves],
-        more, hidden,
+        more, hidden, movable,
         gap=floor.gap, thinnest=sheet.pixel, thickest=building.THICKEST[-1],
         rooms=int(np.count_nonzero(rooms > _ROOM)), scale=(sheet.unit, said), guessed=floor.guessed,
     )  # fmt: skip

@@ -28,6 +28,11 @@ The first reading of a thing pays for its place, and the others follow from it: 
 on, the next piece of the same thing pays no price. All ways to share the pieces of a scan out are
 summed, piece after piece.
 
+A map may name what is movable, as the furniture of a drawing. A piece is then seen with or without
+all of that, one as likely as the other::
+
+    p(piece | x) = (p(piece | x, bare map) + p(piece | x, furnished map)) / 2
+
 The search looks for poses by readings. Which of them is the best, things decide.
 """
 
@@ -167,17 +172,24 @@ def _told(
     """Log-densities (C,) of all readings and (C, P) of each piece, nats.
 
     Then the distances (C, N) of the endpoints from a surface, metres, and the chance (C, N) that
-    the wall that a reading passes is displaced.
+    the wall that a reading passes is displaced: with what is movable where a piece fits better so.
     """
     order, parts, _ = pieces(readings.ranges, readings.angles)
     density, distance = _endpoint_density(features, readings, poses, model)
     shifted = _shifted(features, readings, poses, model)
     if model.bent:
         told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
-        return told @ _counts(parts, len(order), model), told, distance, shifted
-    each = np.log(density * (np.float32(model.absent) + np.float32(1 - model.absent) * shifted))
-    total = np.asarray(each.sum(axis=1, dtype=np.float64))
-    return total, _sums(each[:, order], parts), distance, shifted
+    else:
+        stands = np.float32(model.absent) + np.float32(1 - model.absent) * shifted
+        told = _sums(np.log(density * stands)[:, order], parts)
+    if features.furnished is not None:
+        _, other, far, beyond = _told(features.furnished, readings, poses, model)
+        rather = np.empty(distance.shape, np.bool_)
+        rather[:, order] = np.repeat(other > told, _sizes(parts, len(order)), axis=1)
+        distance, shifted = np.where(rather, far, distance), np.where(rather, beyond, shifted)
+        told = np.logaddexp(told, other) - np.log(2)
+    total = told @ _counts(parts, len(order), model) if model.bent else told.sum(axis=1)
+    return np.asarray(total), told, distance, shifted
 
 
 def by_things(told: FloatArray, own: FloatArray, goes_on: BoolArray) -> FloatArray:

@@ -13,7 +13,7 @@ from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.plans.floorplan import plan_to_map
 from tools.plans.drawing import draw_plan
-from tools.plans.measure import Drawn, measure, scans_of, table
+from tools.plans.measure import scans_of
 
 PIXEL = 0.025
 
@@ -147,14 +147,6 @@ def test_localize_says_that_its_map_is_a_plan_where_scans_do_not_fit(tmp_path: P
     assert run.code == 0
     assert "a floor plan? Then its text, furniture and door swings count as walls" in run.err
     assert "imgloc map plan turns the plan into a map" in run.err
-
-
-def test_the_measurement_of_plans_counts_what_it_says() -> None:
-    found = list(measure((7,), 2, (Drawn("filled", 0.04),), ("map plan",), made=cabin))
-    assert [(row.where, row.scans, row.right, row.wrong) for row in found] == [
-        ("map plan", 2, 2, 0)
-    ]
-    assert list(table(found))[2].startswith("| filled, 0.04 m a pixel | map plan | 2 of 2 | ")
 
 
 def test_a_title_that_is_taken_for_the_building_is_doubted_aloud(tmp_path: Path) -> None:

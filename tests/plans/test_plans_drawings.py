@@ -2,6 +2,7 @@
 
 import io
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import ezdxf
@@ -13,9 +14,10 @@ from imgloc.errors import MapError
 from imgloc.io.maps import load_map
 from imgloc.plans.drawn import drawing_to_maps, role_of
 from imgloc.plans.vectors import MOST, Drawing, Stroke, read_drawing
+from imgloc.simulation.scans import simulate
 from tools.plans.drawing import building
 from tools.plans.drawings import write_dxf
-from tools.plans.measure import shares_found
+from tools.plans.measure import AROUND, Row, judge, shares_found
 
 REAL = Path(__file__).resolve().parents[3] / "shared/data/dxf"
 # Two rooms of 5 x 4 m, walls of 0.2 m, a door of 0.9 m between them and one of 1.0 m outwards.
@@ -277,8 +279,13 @@ def test_a_building_becomes_the_map_of_its_walls(tmp_path: Path) -> None:
     (found,) = drawing_to_maps(read_drawing(tmp_path / "a.dxf"))
     assert found.size == pytest.approx(truth.size, abs=0.03)
     assert len(found.doors) == 16
-    free, walls = shares_found(found.grid, truth)
-    assert min(free, walls) > 0.99
+    assert min(shares_found(found.grid, truth)) > 0.99
+    # Scans are located among the furniture and the doors that are drawn.
+    scans, row = simulate(found.grid.furnished, 10, 1, AROUND), Row("", "")
+    judge(found.grid, scans, row, lambda: None)
+    assert (row.right, row.wrong) == (10, 0)
+    judge(replace(found.grid, movable=None), scans, bare := Row("", ""), lambda: None)
+    assert bare.unique < row.unique
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no drawings in {REAL}")

@@ -30,7 +30,6 @@ from imgloc.plans.floorplan import (
     _sheet,
     _swings,
     plan_to_map,
-    refuse_recorded,
 )
 from imgloc.plans.masks import opened
 from tools.plans.drawing import Image, draw_plan, inside, solid
@@ -364,15 +363,6 @@ def test_the_map_of_a_shifted_or_mirrored_plan_is_shifted_or_mirrored(
     shifted = plan_to_map(np.pad(plan, [(0, 0), (cells, 0)], constant_values=255), resolution).grid
     assert np.array_equal(shifted.occupied, grid.occupied)
     assert shifted.origin.x - grid.origin.x == pytest.approx(4 * CELL)
-
-
-@pytest.mark.parametrize("turns", range(4))
-def test_a_map_that_a_robot_made_is_known_by_its_border(turns: int) -> None:
-    recorded = np.full((100, 6), 254, np.uint8)
-    recorded[40, 3] = 0
-    recorded[:, [0, -1]] = 205  # in half of its border that is all
-    with pytest.raises(MapError, match="a robot made"):
-        refuse_recorded(np.rot90(recorded, turns))
 
 
 @pytest.mark.parametrize("width", [2, 3, 5])

@@ -5,6 +5,7 @@
     python -m tools.plans --sheets -n 60             # whole sheets, as other programs make them
     python -m tools.plans --sheets aside,hatched     # of these words
     python -m tools.plans --drawings DIR -n 60       # DXF, SVG and PDF of a folder, without options
+    python -m tools.plans --drawings DIR -n 20 --seeds 7001   # other twins and scans
     python -m tools.plans --draw DIR                 # only draw the plans or the sheets
 
 Prints a Markdown table. Right is within 0.5 m and 10 degrees. Buildings are random by their seeds:
@@ -61,7 +62,8 @@ def run(given: argparse.Namespace) -> int:
     if given.drawings is not None:
         paths = sorted(p for p in given.drawings.iterdir() if p.suffix.lower() in READERS)
         with progress("drawings", 2 * len(paths) * given.n) as advance:
-            for line in table_lines(DRAWINGS_HEAD, measure_drawings(paths, given.n, advance)):
+            measured = measure_drawings(paths, given.n, advance, seeds[0])
+            for line in table_lines(DRAWINGS_HEAD, measured):
                 print(line, flush=True)
         return 0
     if given.sheets is not None:

@@ -29,9 +29,9 @@ _ROOM = 3.0  # square metres that a robot is in
 
 
 def measure_drawings(
-    paths: Sequence[Path], n: int, advance: Callable[[], None] = lambda: None
+    paths: Sequence[Path], n: int, advance: Callable[[], None] = lambda: None, seed: int = 1
 ) -> Iterator[tuple[object, ...]]:
-    """Cells of the table of drawings, a row for each floor; `n` scans of each.
+    """Cells of the table of drawings, a row for each floor; `n` scans of each, by a seed.
 
     Time is that of the processor, and memory the peak of the process so far.
     """
@@ -50,15 +50,14 @@ def measure_drawings(
             drawing_to_maps(drawing, furniture=True),
         )
         for k, found in enumerate(floors):
-            world = twin(found.grid, shut[k].grid, full[k].grid, seed=k + 1)
-            scans = simulate(world, n, k + 1, AROUND, world)
+            world = twin(found.grid, shut[k].grid, full[k].grid, seed=k + seed)
+            scans = simulate(world, n, k + seed, AROUND, world)
             rows = [Row(path.name, "map plan"), Row(path.name, "by scans")]
             judge(found.grid, scans, rows[0], advance)
             judge(world, scans, rows[1], advance)
             size = f"{found.size[0]:.1f} x {found.size[1]:.1f}"
-            unit, said = found.scale
             yield (
-                path.name, size, found.rooms, len(found.doors), f"{unit:g}: {said}",
+                path.name, size, found.rooms, len(found.doors), "{:g}: {}".format(*found.scale),
                 f"{rows[0].right} of {rows[0].scans}", rows[0].among, rows[0].unique, rows[0].wrong,
                 rows[1].right, took, peak, found.doubt[:60],
             )  # fmt: skip
