@@ -348,8 +348,7 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
         refuse_existing(file)
     pixels = np.full(grid.occupied.shape, 205, np.uint8)
     pixels[grid.free] = 254
-    if grid.movable is not None:
-        pixels[grid.movable & grid.free] = _MOVABLE
+    pixels[grid.furnished.occupied] = _MOVABLE
     pixels[grid.occupied] = 0
     said = {
         "image": png.name,
