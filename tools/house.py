@@ -43,7 +43,7 @@ LIMITS: Mapping[str, tuple[int, int]] = {
     "arrows back up": (0, 0),
     "options of all commands": (560, 250),
     "numbers": (363, 150),
-    "numbers that nobody measured": (243, 40),
+    "numbers that nobody measured": (242, 40),
     "docstrings that begin with What, Whether, How, Of": (210, 0),
     "docstrings in which things say or tell": (136, 0),
     "chains of three of": (17, 0),
