@@ -214,9 +214,8 @@ def test_save_and_load_give_the_same_map(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     kind = rng.integers(0, 3, (7, 5))
     origin = Pose2D(-1 / 3, 1e-7, 0.1 + 0.2)
-    grid = OccupancyGrid(
-        kind == 0, kind == 1, 0.05, origin, (kind == 1) & (rng.random((7, 5)) < 0.5)
-    )
+    movable = (kind == 1) & (rng.random((7, 5)) < 0.5)
+    grid = OccupancyGrid(kind == 0, kind == 1, 0.05, origin, movable)
     image = save_map(tmp_path / "a map: #1.yaml", grid)
     assert image.name == "a map: #1.png"
     again = load_map(tmp_path / "a map: #1.yaml")

@@ -364,8 +364,7 @@ def map_png(grid: OccupancyGrid) -> bytes:
     """A map as map_saver writes its PNG: occupied 0, free 254, unknown 205; movable 230."""
     pixels = np.full(grid.occupied.shape, 205, np.uint8)
     pixels[grid.free] = 254
-    if grid.movable is not None:
-        pixels[grid.movable & grid.free] = _MOVABLE
+    pixels[grid.furnished.occupied] = _MOVABLE
     pixels[grid.occupied] = 0
     return encode_png(pixels[::-1])
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 else:
     Pose2D = Any
 
-PlanScale = Annotated[float, Within(0.0005, 1, "metres a pixel")]
+PlanScale = Annotated[float, Within(1e-6, 1, "metres a pixel, or a unit")]
 
 
 @dataclass(frozen=True)

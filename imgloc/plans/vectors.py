@@ -64,6 +64,7 @@ def read_drawing(path: Path) -> Drawing:
     data = read_file(path, limit=MAX_BYTES, error=MapError, what="drawing")
     try:
         drawing = READERS[kind](data)
+        drawing.strokes[:] = (s for s in drawing.strokes if s.wide < _FAR)  # nor is it NaN
     except ImportError as error:
         need = f"{name}: {kind[1:].upper()} needs {error.name}: pip install 'imgloc[cad]'"
         raise ConfigError(need) from None

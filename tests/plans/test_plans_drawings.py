@@ -249,6 +249,7 @@ def hostile(folder: Path) -> dict[str, tuple[bytes, str]]:
         "self.svg": (b'<svg><g id="a"><use href="#a"/></g></svg>', "is part of itself"),
         "broken.svg": (b"<svg><g>", "cannot be read as SVG"),
         "path.svg": (b'<svg><path d="M0 0 A 1 1"/></svg>', "its element path cannot be read"),
+        "w.svg": (b'<svg><rect height="4" stroke="a" transform="scale(1e999)"/></svg>', "no line"),
         "no.pdf": (b"%PDF-1.4 nothing", "cannot be read as PDF"),
         "empty.svg": (b'<svg><script>while(1);</script><image href="file:///etc/passwd"/></svg>',
                       "there is no line on it"),
