@@ -25,9 +25,9 @@ def test_all_keys() -> None:
         0.1,
         Pose2D(-12.5, 3.0, 1.5),
         "scale",
-        False,
-        0.65,
-        0.196,
+        negate=False,
+        occupied_thresh=0.65,
+        free_thresh=0.196,
     )
 
 

@@ -41,7 +41,7 @@ LIMITS: Mapping[str, tuple[int, int]] = {
     f"functions of more than {LONG} lines": (0, 0),
     "modules of imgloc that a file imports, median": (6, 6),
     "arrows back up": (0, 0),
-    "options of all commands": (484, 250),
+    "options of all commands": (489, 250),
     "numbers": (363, 150),
     "numbers that nobody measured": (243, 40),
     "docstrings that begin with What, Whether, How, Of": (62, 0),
