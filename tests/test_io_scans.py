@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError, OutputError, ScanError
-from imgloc.io.scans import SCAN_ENDINGS, load_scans, read_npz, save_scans, scans_size, write_npz
+from imgloc.io.scans import SCAN_ENDINGS, load_scans, read_npz, save_scans, write_npz
 from imgloc.io.scanset import ScanSet, collect
 from imgloc.model import LaserScan, Pose2D
 
@@ -331,9 +331,13 @@ def test_real_scans(shared: Path) -> None:
 def test_a_topic_is_of_logs_that_have_some(tmp_path):
     path = tmp_path / "a.npz"
     save_scans(path, ScanSet((LaserScan([1.0], [0.0]),)))
-    for read in (load_scans, scans_size):
-        with pytest.raises(ScanError, match=r"a.npz: has one laser, expected no topic, got /scan"):
-            read(path, topic="/scan")
+    with pytest.raises(ScanError, match=r"a.npz: has one laser, expected no topic, got /scan"):
+        load_scans(path, topic="/scan")
+    said = '{{"ranges": [{}], "angles": [0], "header": {{"frame_id": "{}"}}}}\n'
+    (path := tmp_path / "two.jsonl").write_text(said.format(1, "a") + said.format(2, "b"))
+    with pytest.raises(ScanError, match=r"pass `topic`, one of a \(1\), b \(1\)"):
+        load_scans(path)
+    assert load_scans(path, topic="b")[0].ranges.tolist() == [2.0]
 
 
 def test_where_each_sensor_sits_is_a_row_or_not_known(tmp_path: Path) -> None:

@@ -29,11 +29,11 @@ from tools.script import parser_of
 _ANGLES = np.deg2rad(np.arange(-90, 90.5, 1.0))
 WORLD = "corridor"  #: whose doors repeat
 STOPS = (
-    ((14.0, 5.0), (31.5, 5.2), (31.5, 6.5), (34.5, 8.2)),
-    ((22.0, 5.0), (3.5, 5.0), (3.5, 3.5), (2.5, 1.6)),
+    ((25.0, 5.0), (31.5, 5.2), (31.5, 6.5), (34.5, 8.2)),
+    ((12.0, 5.0), (3.5, 5.0), (3.5, 3.5), (2.5, 1.6)),
 )
 """Two drives, in the grid frame, metres; between them the robot is carried."""
-_MS = 120  # milliseconds of a frame
+_MS, _HELD = 160, 12  # milliseconds of a frame, and frames that the last one stays
 _ROOM = 1.0  # metres from a wall beyond which more room is no better
 
 
@@ -80,8 +80,7 @@ def drive(seed: int = 1) -> ScanSet:
     """The log of both drives, one after the other."""
     grid = render(WORLDS[WORLD](), 0.1)
     parts = [path_between(grid, np.array(stops), 0.25) for stops in STOPS]
-    ends = np.cumsum([0, *map(len, parts)])
-    whole = log_of(np.concatenate(parts), seed)
+    ends, whole = np.cumsum([0, *map(len, parts)]), log_of(np.concatenate(parts), seed)
     return piece(whole, *(range(a, b) for a, b in itertools.pairwise(ends.tolist())))
 
 
@@ -106,7 +105,8 @@ def frames_of(log: ScanSet) -> list[Image]:
 
 def write_movie(path: Path, frames: list[Image]) -> None:
     """Write frames as an animated WebP that begins anew."""
-    first, *more = (PIL.Image.fromarray(np.ascontiguousarray(f[..., ::-1])) for f in frames)
+    shown = [*frames, *_HELD * frames[-1:]]
+    first, *more = (PIL.Image.fromarray(np.ascontiguousarray(f[..., ::-1])) for f in shown)
     first.save(path, save_all=True, append_images=more, duration=_MS, loop=0, quality=60, method=6)
 
 

@@ -151,7 +151,7 @@ class _Trial:
 
         The list is empty unless all of these scans, or `most` of them, are unique.
         """
-        # Votes find a few places more where nothing fits, which takes longer than all the rest.
+        # Parts of a scan find a few places more, which takes longer than all the rest.
         quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
         quick = replace(quick, prior=prior or quick.prior, shared=shared or quick.shared)
         once = replace(quick, fused=replace(quick.fused, strained=np.inf))
@@ -218,11 +218,13 @@ class _Trial:
     def prior(self) -> Cause | None:
         """The scans fit elsewhere, at poses that what was given leaves out."""
         names = [f"`{name}`" for name in self.options.prior.about]
-        if not names or not (found := self.unique(prior=Prior())):
+        anywhere = replace(self.options, prior=Prior())
+        if names and not (found := self.unique(prior=Prior())):  # or at one of several places
+            found = [localize(self.features, self.scans[k], anywhere) for k in self.tried]
+            found = [a for a in found if self.misfit - a.evidence.misfit >= _FITS]
+        if not names or not found or (pose := found[0].best) is None:
             return None
         asked = " and ".join(names)
-        pose = found[0].pose
-        assert pose is not None
         at = place_words(pose)
         where = f"at {at}" if self.one else f"at one place each, the first at {at}"
         leave, right = ("leaves", "is it") if len(names) == 1 else ("leave", "are they")

@@ -46,7 +46,7 @@ from imgloc.model import (
     Pose2D,
 )
 from imgloc.numbers import number
-from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
+from imgloc.options import FUSED, EvidenceModel, Options
 from imgloc.search.priors import pyramid_levels
 from imgloc.search.rescore import score_poses
 from imgloc.search.weigh import settle
@@ -340,9 +340,7 @@ def _layer(
     """A picture's worth of a maximum over theta: blocks of cells keep their maximum."""
     info = GridInfo(best.shape[0], best.shape[1], cell, features.grid.origin)
     factor = -(-max(best.shape) // _SIDE)
-    if method in LOG_METHODS:  # blocks that stick out are filled with zeros
-        best = np.exp(best - max(float(best.max()), -1e30))
-    if factor > 1:
-        best = np.asarray(block_reduce(best, factor, np.max))
+    if factor > 1:  # blocks that stick out are filled
+        best = np.asarray(block_reduce(best, factor, np.max, cval=float(best.min())))
         info = coarse_info(info, factor)
     return Layer(method, about, Likelihood(best[None], np.zeros(1), info, method))

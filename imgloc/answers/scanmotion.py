@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from imgloc.features.scanpoints import evenly, scan_xy
+from imgloc.geometry import transform_points
 from imgloc.io.scanset import ScanSet
 from imgloc.model import (
     BoolArray,
@@ -236,9 +237,7 @@ def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0
     if not middle > 0:
         return math.nan
     cell = max(_CELL * middle, _NOISE * unit)
-    other = other[evenly(len(other), _RAYS)]
-    c, s = math.cos(to.theta), math.sin(to.theta)
-    moved = other @ np.array([[c, s], [-s, c]]) + (to.x, to.y)
+    moved = transform_points(to, other[evenly(len(other), _RAYS)])
     corner = one.min(axis=0) - 2 * cell
     filled = np.floor(np.minimum((one - corner) / cell, _SIDE - 3)).astype(np.int64)
     width, height = (filled.max(axis=0) + 3).tolist()

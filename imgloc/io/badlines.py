@@ -20,7 +20,7 @@ def warned(*, also_printed: bool = False) -> Iterator[dict[str, str]]:
     Examples
     --------
     >>> with warned() as texts:
-    ...     BadLines("a.jsonl").cut("a.jsonl: line 9")
+    ...     BadLines("a.jsonl").skip(ScanError("no JSON"), "a.jsonl: line 9")
     >>> texts
     {'a.jsonl: line 9: the last line was cut off and is left out': 'cut'}
     """
@@ -46,7 +46,7 @@ def held() -> Iterator[None]:
     Examples
     --------
     >>> with warned() as texts, held():
-    ...     BadLines("a.jsonl").cut("a.jsonl: line 9")
+    ...     BadLines("a.jsonl").skip(ScanError("no JSON"), "a.jsonl: line 9")
     ...     texts
     {}
     >>> len(texts)
@@ -96,16 +96,18 @@ class BadLines:
         self.name, self.most, self.what, self.count = name, most, what, 0
         self._first: list[ScanError] = []
 
-    def skip(self, error: ScanError) -> None:
-        """Leave out the line that this error is about."""
+    def skip(self, error: ScanError, cut: str = "") -> None:
+        """Leave out the line that this error is about; `cut` is where the last one ends too early.
+
+        That one does not count.
+        """
+        if cut:
+            text = f"the last {self.what.removesuffix('s')} was cut off and is left out"
+            _LOG.warning("%s: %s", cut, text, extra={"code": "cut"})
+            return
         self.count += 1
         if len(self._first) < _SHOWN:
             self._first.append(error)
-
-    def cut(self, where: str) -> None:
-        """Note that the last line, or message, ends in the middle, and is left out."""
-        text = f"the last {self.what.removesuffix('s')} was cut off and is left out"
-        _LOG.warning("%s: %s", where, text, extra={"code": "cut"})
 
     def check(self, good: int) -> None:
         """Say which lines were left out of a file of `good` ones, or raise the error of the first.

@@ -46,6 +46,7 @@ _SHOWN = 8  # topics in a message
 _FAR = 1e9  # metres that a robot is from where its odometry began
 _SAVES = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
 LEVEL = math.cos(math.radians(5))
+NO_CLOUDS = "%s: `height` is not used: %s has scans, no clouds of points"
 _HINTS = {
     "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
 }
@@ -108,6 +109,8 @@ def read_bag(
                 beside.take(connection.topic, message)
     if height is not None and entries and "angles" in entries[0][1]:
         check_seen([entry for _, entry in entries], height, f"{name}: {chosen}")
+    elif height is not None:
+        _LOG.warning(NO_CLOUDS, name, chosen, extra={"code": "unused"})
     return beside.scans(entries, laser, Recording(lasers, chosen, maps=maps), odom, bad)
 
 

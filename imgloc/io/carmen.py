@@ -114,10 +114,8 @@ def read_carmen(
             elif word in _ODOMETRY:
                 moves.append(_move(words, where))
         except ScanError as error:
-            if messages and number == lines[-1][0]:  # whoever wrote the log was switched off
-                bad.cut(where)
-            else:
-                bad.skip(error)
+            off = messages and number == lines[-1][0]  # whoever wrote the log was switched off
+            bad.skip(error, where if off else "")
     if not messages:
         bad.check(0)
         raise ScanError(f"{name}: holds no whole {chosen}, expected at least one")

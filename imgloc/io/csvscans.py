@@ -29,6 +29,7 @@ from imgloc.robot.recording import Recording
 
 _LOG = logging.getLogger("imgloc")
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
+_NUMBER = re.compile(r"[-+]?(\d+([.,]\d+)?|[.,]\d+)(e[-+]?\d+)?|[-+]?inf|nan", re.IGNORECASE)
 _SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
 _PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
 _BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
@@ -86,7 +87,8 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     for line, text in lines.numbered:
         where = f"{name}: line {line}"
         if text.startswith("#"):
-            said = [(key, value) for key, value in _SETTING.findall(text) if key in _SETTINGS]
+            plain = re.sub(r"(\d),(\d)", r"\1.\2", text)
+            said = [(key, value) for key, value in _SETTING.findall(plain) if key in _SETTINGS]
             settings |= {key: setting_of(key, value, f"{where}: {key}") for key, value in said}
             comment = comment if body or said else text.strip("# ")
         else:
@@ -118,13 +120,12 @@ def cells_of(text: str) -> list[str]:
 
     Examples
     --------
-    >>> cells_of("1.5, ,x"), cells_of("1,5;2,5"), cells_of("1.5  2")
-    (['1.5', '', 'x'], ['1.5', '2.5'], ['1.5', '2'])
+    >>> cells_of("1.5, ,x"), cells_of("1,5;2,5"), cells_of("1.5  2"), cells_of("1,5 2 inf")
+    (['1.5', '', 'x'], ['1.5', '2.5'], ['1.5', '2'], ['1.5', '2', 'inf'])
     """
-    for mark in (";", "\t"):
-        if mark in text and f",{mark}" not in text:
-            cells = [cell.strip() for cell in text.split(mark)]
-            return [re.sub(r"^([-+]?\d*),(\d+)$", r"\1.\2", cell) for cell in cells]
+    mark = next((m for m in (";", "\t") if m in text and f",{m}" not in text), None)
+    if mark or (" " in text and all(map(_NUMBER.fullmatch, text.split()))):
+        return [re.sub(r"^([-+]?\d*),(\d+)", r"\1.\2", c.strip()) for c in text.split(mark)]
     if '"' in text:
         return [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True))]
     return [cell.strip() for cell in text.split(",")] if "," in text else text.split()
@@ -276,10 +277,7 @@ class _Table:
                 for i in range(width) if used is None else used:
                     row[i] = number_of(cells[i], f"{where}: column {i + 1}")
             except ScanError as error:
-                if self.rows and where == self.cut:
-                    self.bad.cut(where)
-                else:
-                    self.bad.skip(error)
+                self.bad.skip(error, where if self.rows and where == self.cut else "")
                 continue
             self.rows.append((where, row))
         if not self.rows:
@@ -374,10 +372,8 @@ class _Table:
                 ranges = np.array(rays[:count])
                 entries.append((where, {**said, "ranges": ranges, "stamp": stamp}))
             except (ScanError, IndexError) as error:
-                if entries and where == self.cut:
-                    self.bad.cut(where)
-                else:
-                    self.bad.skip(ScanError(str(error)))
+                error = ScanError(str(error))
+                self.bad.skip(error, where if entries and where == self.cut else "")
         return collect(entries, self.name, self.bad)
 
 

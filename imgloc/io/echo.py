@@ -52,10 +52,7 @@ def read_echo(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
                 raise ScanError(f"{where}: cut off")
             entries.append((where, entry))
         except ScanError as error:
-            if last:
-                bad.cut(where)
-            else:
-                bad.skip(error)
+            bad.skip(error, where if last else "")
     return collect(entries, name, bad)
 
 

@@ -1,5 +1,6 @@
 """The contents of a file before it is read: kinds of lines, or topics with their types."""
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from imgloc.io.textscans import topics_in
 
 _SHOWN = 40  # characters of a word
 _MANY = 200  # kinds of lines in a log
+_ECHOED, _FRAME = "echo of a topic", re.compile(r"^ +frame_id: *['\"]?([^'\"\s]+)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,9 @@ def kinds_of(path: PathLike) -> tuple[str, list[Kind]]:
         return form, [Kind(topic, count, kind) for topic, kind, count in topics_of(path)]
     if form == "JSON":
         return form, [Kind(t, n, kind) for (t, kind), n in sorted(topics_in(path).items())]
+    if form == _ECHOED:
+        frames = Counter(_FRAME.findall(read_text(path, errors="replace")))
+        return form, [Kind(frame, n, LASER) for frame, n in frames.items()]
     if form == "CARMEN log":
         lines = read_text(path, errors="replace").split("\n")
         words = Counter(w[0][:_SHOWN] for line in lines if (w := line.split(None, 1)))

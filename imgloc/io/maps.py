@@ -187,8 +187,8 @@ def map_of_bytes(
 
 
 OTHER_FRAME = (
-    "{yaml}, which is of this image, is ignored: {differs}; poses are in another frame; give "
-    "{yaml} instead, or the same values"
+    "{yaml}, which is of this image, is ignored: {differs}; poses are in another frame, or walls "
+    "are read otherwise; give {yaml} instead, or the same values"
 )
 
 
@@ -203,9 +203,9 @@ def yamls_of(image: Path) -> Iterator[MapYaml]:
 
 
 def other_frame(settings: MapSettings) -> str:
-    """Say of a bare image that a YAML beside it, which is not read, puts it elsewhere; or nothing.
+    """Say of a bare image that a YAML beside it, which is not read, has it otherwise; or nothing.
 
-    Nothing is said either if one of several puts it where it is taken to be.
+    Nothing is said either if one of several has it as it is taken to be.
     """
     texts = list[str]()
     for said in yamls_of(settings.image) if settings.yaml is None else ():
@@ -213,7 +213,7 @@ def other_frame(settings: MapSettings) -> str:
             theirs = _settings(said, {}, "", bare=False)
             found = [
                 f"{key} {values[0]} there, {values[1]} here"
-                for key in ("origin", "resolution")
+                for key in ("origin", "resolution", "negate", "mode")
                 if (values := [_plainly(getattr(s, key)) for s in (theirs, settings)])[0]
                 != values[1]
             ]
@@ -227,7 +227,7 @@ def other_frame(settings: MapSettings) -> str:
 def _plainly(value: object) -> str:
     if isinstance(value, Pose2D):
         return f"[{value.x:g}, {value.y:g}, {value.theta:g}]"
-    return f"{value:g}"
+    return f"{value:g}" if isinstance(value, float) else str(value).lower()
 
 
 GREY_205 = (

@@ -12,21 +12,24 @@ An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB
 
 import contextlib
 import io
+import logging
 import math
 import os
 import re
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError, expect
-from imgloc.io.bags import bag_size, read_bag
+from imgloc.io.bags import NO_CLOUDS, bag_size, choose_topic, read_bag
 from imgloc.io.carmen import placed, read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
 from imgloc.io.csvscans import read_csv
@@ -53,6 +56,7 @@ from imgloc.io.scanset import (
     check_size,
     numbers,
     scan_set,
+    spread,
     stated,
     wrong,
 )
@@ -61,6 +65,7 @@ from imgloc.io.textscans import read_jsonl, text_size
 from imgloc.model import FloatArray, Pose2D
 from imgloc.options import MAX_BAD, Logs
 
+_LOG = logging.getLogger("imgloc")
 _MAX_BYTES = 16 * MAX_READINGS
 
 
@@ -91,8 +96,7 @@ def load_scans(
         are metres, angles radians in the sensor's frame, counter-clockwise, 0 forward.
         Ranges stay as recorded; :class:`~imgloc.model.LaserScan` defines NaN, +inf and codes.
     topic : str, optional
-        Which laser of a log with several. ScanError if the file is no log, see
-        :func:`has_topics`.
+        Which laser of a file with several: a topic, a CARMEN message, or the name of a frame.
     fov : float, optional
         Angle from the first to the last ray, radians, for a CSV or a log that does not state it,
         or whose angles contradict each other.
@@ -113,20 +117,45 @@ def load_scans(
     """
     how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
     path = local(path)
-    kind, lasers = _kind(path, topic), lasers_of(topic or "")
+    kind, lasers = _kind_of(path), lasers_of(topic or "")
     with stated(how, sensor):
         if len(lasers) < 2:
-            return kind.read(path, how)
-        sets = {laser: kind.read(path, replace(how, topic=laser)) for laser in lasers}
+            return _read(kind, path, how)
+        sets = {laser: _read(kind, path, replace(how, topic=laser)) for laser in lasers}
         sets = {t: placed(s) for t, s in sets.items()} if kind is _CARMEN else sets
         return together(sets, display(path))
+
+
+def _read(kind: "_Kind", path: PathLike, how: Logs) -> ScanSet:
+    """The scans of one laser, or of several whose places are known; what is not used is named."""
+    name, named = display(path), has_topics(path)
+    given = {key: v for key in kind.takes if (v := getattr(how, key)) is not None}
+    if not named:
+        given.pop("topic", None)
+    scans = kind.read(path, **given)
+    if how.height is not None and "height" not in kind.takes:
+        _LOG.warning(NO_CLOUDS, name, "the file", extra={"code": "unused"})
+    first = scans[0].angles
+    if how.fov is not None and abs(np.ptp(first) - np.ptp(spread(len(first), how.fov))) > 0.01:
+        text = "%s: `fov` is not used: the file contains its angles, %.4g to %.4g degrees"
+        _LOG.warning(text, name, *np.rad2deg(first[[0, -1]]), extra={"code": "unused"})
+    lasers = Counter(scan.laser for scan in scans.scans if scan.laser)
+    apart = kind is not _NPZ and any(scan.T_base_laser is None for scan in scans.scans)
+    if named or (how.topic is None and not (apart and len(lasers) > 1)):
+        return scans
+    if len(lasers) < 2:
+        raise ScanError(f"{name}: has one laser, expected no topic, got {how.topic}: leave it out")
+    chosen = choose_topic(lasers, how.topic, name)
+    return scans.take([k for k, scan in enumerate(scans.scans) if scan.laser == chosen])
 
 
 def scans_size(
     path: PathLike, *, topic: str | None = None, height: Height | None = None
 ) -> ScansSize:
     """Upper bounds of what :func:`load_scans` would load; errors are those that headers show."""
-    return _kind(path, topic).size(path, Logs(topic, height=height))
+    kind = _kind_of(path)
+    how = {} if kind in _TEXTS else {"topic": topic, "height": height}
+    return kind.size(path, **{key: value for key, value in how.items() if key in kind.takes})
 
 
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
@@ -189,40 +218,23 @@ def write_npz(scans: ScanSet) -> bytes:
 
 
 class _Kind(NamedTuple):
-    """A kind of file: how it is read, and how its size is known before."""
+    """A kind of file: what it is called, how it is read, and how its size is known before."""
 
-    read: Callable[[PathLike, Logs], ScanSet]
-    size: Callable[[PathLike, Logs], ScansSize]
+    name: str
+    read: Callable[..., ScanSet]
+    takes: Sequence[str]  #: fields of Logs that reading takes
+    size: Callable[..., ScansSize]
 
 
-_NPZ = _Kind(lambda path, _: read_npz(path), lambda path, _: _npz_size(path))
-_CSV = _Kind(
-    lambda path, how: read_csv(path, fov=how.fov, max_bad=how.max_bad),
-    lambda path, _: text_size(path, between=b",;\t "),
-)
-_JSON = _Kind(
-    lambda path, how: read_jsonl(path, topic=how.topic, odom=how.odom or "", max_bad=how.max_bad),
-    lambda path, _: text_size(path),
-)
-_ECHO = _Kind(
-    lambda path, how: read_echo(path, max_bad=how.max_bad),
-    lambda path, _: text_size(path, between=b"\n"),
-)
-_CARMEN = _Kind(
-    lambda path, how: read_carmen(path, topic=how.topic, fov=how.fov, max_bad=how.max_bad),
-    lambda path, _: text_size(path, between=b" "),
-)
-_BAG = _Kind(
-    lambda path, how: read_bag(
-        path, topic=how.topic, height=how.height, odom=how.odom or "", max_bad=how.max_bad
-    ),
-    lambda path, how: bag_size(path, topic=how.topic, height=how.height),
-)
-_PCD = _Kind(lambda path, how: read_pcd(path, height=how.height), lambda path, _: pcd_size(path))
+_NPZ = _Kind("NPZ", read_npz, (), lambda path: _npz_size(path))
+_BETWEEN = partial(text_size, between=b",;\t ")
+_CSV = _Kind("CSV", read_csv, ("fov", "max_bad"), _BETWEEN)
+_JSON = _Kind("JSON", read_jsonl, ("topic", "odom", "max_bad"), text_size)
+_ECHO = _Kind("echo of a topic", read_echo, ("max_bad",), partial(text_size, between=b"\n"))
+_CARMEN = _Kind("CARMEN log", read_carmen, ("topic", "fov", "max_bad"), _BETWEEN)
+_BAG = _Kind("bag", read_bag, ("topic", "height", "odom", "max_bad"), bag_size)
+_PCD = _Kind("PCD", read_pcd, ("height",), lambda path, **_: pcd_size(path))
 _TEXTS = _CSV, _JSON, _ECHO, _CARMEN  # which may be packed by gzip
-_LOGS = _CARMEN, _BAG, _JSON  # in which each of several lasers may have a name
-_NAMES = {_NPZ: "NPZ", _CSV: "CSV", _JSON: "JSON", _ECHO: "echo of a topic",
-          _CARMEN: "CARMEN log", _BAG: "bag", _PCD: "PCD"}  # fmt: skip
 _KINDS = {
     ".npz": _NPZ, ".csv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
     ".yaml": _ECHO, ".yml": _ECHO, ".log": _CARMEN, ".clf": _CARMEN, ".carmen": _CARMEN,
@@ -261,7 +273,7 @@ _CONVERTED = {
 
 def format_of(path: PathLike) -> str:
     """Name of the format of a file: by the ending of its name, else by how it begins."""
-    return _NAMES[_kind_of(path)]
+    return _kind_of(path).name
 
 
 def has_topics(path: PathLike) -> bool:
@@ -271,18 +283,9 @@ def has_topics(path: PathLike) -> bool:
     """
     kind = _kind_of(path)
     if kind is not _JSON:
-        return kind in _LOGS
+        return "topic" in kind.takes
     with open_text(path) as (file, _):
         return b'"topic"' in file.read(_HEAD)
-
-
-def _kind(path: PathLike, topic: str | None) -> _Kind:
-    """The kind of a file; a ScanError if it has no topics and one is asked for."""
-    kind = _kind_of(path)
-    if topic is not None and not has_topics(path):
-        hint = "a topic or message is of a ROS bag, rosbridge or a CARMEN log; leave it out"
-        raise ScanError(f"{display(path)}: has one laser, expected no topic, got {topic}: {hint}")
-    return kind
 
 
 def _kind_of(path: PathLike) -> _Kind:

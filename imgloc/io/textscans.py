@@ -87,10 +87,7 @@ def read_jsonl(
                 with fields_of(ScanError, where):
                     beside.take(on, entry)
         except ScanError as error:
-            if scans and where == cut:
-                bad.cut(where)
-            else:
-                bad.skip(error)
+            bad.skip(error, where if scans and where == cut else "")
     counts = {t: len(entries) for t, entries in sorted(scans.items())}
     chosen = choose_topic(counts, topic, name) if counts else ""
     entries = scans.get(chosen, [])
@@ -101,12 +98,12 @@ def read_jsonl(
 
 
 def topics_in(path: PathLike) -> Counter[tuple[str, str]]:
-    """How many messages of each topic and type JSON lines hold."""
+    """How many messages of each topic and type JSON lines hold, or of each laser's name."""
     found = Counter[tuple[str, str]]()
     for _, text in lines_of(path, MAX_TEXT).numbered:
         with contextlib.suppress(ScanError):
             entry, on = unwrapped(_json(text, ""))
-            if on is not None:
+            if on := str(_object(entry, "")["laser"]) if on is None else on:
                 found[on, next((kind for key, kind in _TYPES.items() if key in entry), "")] += 1
     return found
 

@@ -67,12 +67,12 @@ def likely(times: float) -> str:
 
     Examples
     --------
-    >>> likely(1.03), likely(3.2), likely(5e6)
-    ('as likely', '3.2 times less likely', 'more than 1000 times less likely')
+    >>> likely(1.03), likely(3.2), likely(151.2)
+    ('as likely', '3.2 times less likely', '151 times less likely')
     """
     if times < 1.05:
         return "as likely"
-    return f"{times:.2g} times less likely" if times <= 1000 else "more than 1000 times less likely"
+    return f"{times:.3g} times less likely" if times < 999 else "more than 1000 times less likely"
 
 
 def apart(a: Pose2D, b: Pose2D) -> str:

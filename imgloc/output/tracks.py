@@ -281,9 +281,10 @@ class Video:
         self._extend(moment)
         _draw_belief(canvas, belief)
         about = f"{moment.stamp - self._begin:.1f} s, " if np.isfinite(moment.stamp) else ""
-        others = sum(belief.mass[1:] >= _DRAWN)
-        more = f", {others} other places" if others else ""
-        self._words.set_text(f"{about}{moment.metres:.1f} m: {belief.verdict}{more}")
+        others = int(np.count_nonzero(belief.mass[1:] >= _DRAWN))
+        more = f"{others} other place{'s' * (others > 1)}" if others else moment.withheld
+        words = ", ".join(filter(None, (belief.verdict, more)))
+        self._words.set_text(f"{about}{moment.metres:.1f} m: {words}")
         line = self._line()
         frame[-len(line) :, : line.shape[1]] = line
         self._writer.write(frame)

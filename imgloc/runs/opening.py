@@ -282,8 +282,7 @@ class Desk:
         )  # fmt: skip
         if files.mount is not None and len({s.laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
-        bag = bool(recorded.recording.taken)
-        if files.odom not in (None, SCANS) and not (bag or files.many):
+        if files.odom not in (None, SCANS) and not (recorded.recording.taken or files.many):
             hint = "a topic or frame is of a ROS bag; leave it out, or pass scans"
             raise ScanError(f"{name}: `odom`: got {files.odom}, expected none: {hint}")
         if files.odom == SCANS:

@@ -521,6 +521,8 @@ def test_no_name_is_read_as_html(page: Any, log: Path) -> None:
 
 
 def test_the_help_sheet_has_all_keys(page: Any) -> None:
+    page.keyboard.press("t")
+    sync.expect(page.locator("#note")).to_contain_text("There is no scan yet")
     page.keyboard.press("?")
     sheet = page.get_by_role("dialog", name="Keys")
     sync.expect(sheet).to_be_visible()

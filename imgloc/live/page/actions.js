@@ -176,6 +176,7 @@ export const selectScan = api.newest(async (index) => {
   if (!state.set) return;
   const { set } = state, at = Math.max(0, Math.min(set.scans - 1, index));
   change({ index: at });
+  if (at !== index) change({ note: at ? "This is the last scan." : "This is the first scan." });
   const scan = await attempt("", () => item(at));
   if (!scan || state.index !== at || state.set.name !== set.name) return;
   change({ scan, reading: -1 }); // answer and fit stay, of another scan, until the new ones are there
@@ -389,6 +390,7 @@ export async function follow() {
     return;
   }
   const { map, set } = state;
+  if (!set?.odom) change({ note: "The file has no odometry, which the tracker needs." });
   if (!map || !set?.odom) return;
   const socket = api.tracker(map.id), answers = [], lines = "the tracker";
   trouble(null, "");

@@ -168,7 +168,10 @@ function listenToControls() {
   onClick("follow", () => actions.follow());
   listenToKnown();
   listenToTaken();
-  on("layer", "change", ({ target }) => change({ layer: target.value, slice: -1 }));
+  on("layer", "change", ({ target }) => {
+    change({ layer: target.value, slice: -1 });
+    $("stage").scrollIntoView({ block: "nearest" }); // on a narrow page it is above
+  });
   onClick("next-layer", () => {
     const select = $("layer");
     select.selectedIndex = (select.selectedIndex + 1) % select.options.length;

@@ -8,6 +8,7 @@ import { moveCursor, pointing, setPoint, takeTool } from "./tools.js";
 
 const STEP = 0.05, TURN = 1; // metres and degrees; ten times as much with Shift
 const PIXELS = 8; // that the cursor is moved
+const OF_SCAN = "The scan", OF_LOG = "The log"; // sections whose keys need a scan
 
 const shift = (view, dx, dy) => (event) => {
   const { pose } = state, times = event.shiftKey ? 10 : 1, by = STEP * times;
@@ -26,6 +27,7 @@ const reading = (step) => () => {
 const slice = (step) => () => {
   const { picture } = state;
   if (picture?.slices) $("slice").dispatchEvent(new CustomEvent("step", { detail: step }));
+  else change({ note: "No likelihood is shown, whose headings this would change: choose a layer (G)." });
 };
 const press = (id) => () => $(id).click();
 
@@ -33,7 +35,7 @@ const press = (id) => () => $(id).click();
 function table(view, redraw) {
   const zoom = (factor) => () => { view.zoom(factor); redraw(); };
   return [
-    ["The scan"],
+    [OF_SCAN],
     [["ArrowLeft"], "move it 5 cm, with Shift 50 cm; with a tool, point at the map", shift(view, -1, 0)],
     [["ArrowRight"], "", shift(view, 1, 0)],
     [["ArrowUp"], "", shift(view, 0, 1)],
@@ -46,7 +48,7 @@ function table(view, redraw) {
     [[","], "what the reading before says", reading(-1)],
     [["."], "what the next reading says", reading(1)],
     [["m"], "mark its pose as the true one", () => actions.mark()],
-    ["The log"],
+    [OF_LOG],
     [["PageUp", "["], "the scan before", () => actions.selectScan(state.index - 1)],
     [["PageDown", "]"], "the next scan", () => actions.selectScan(state.index + 1)],
     [["l"], "locate the scan again", () => actions.locate()],
@@ -81,8 +83,10 @@ const nameOf = (key) => NAMES[key] ?? key.toUpperCase();
 /** Listen to the keyboard, and write the help sheet. */
 export function startKeys(view, redraw) {
   const rows = table(view, redraw), actionOf = new Map();
+  let section = "";
   for (const [keys, , action] of rows) {
-    if (action) for (const key of keys) actionOf.set(key, action);
+    if (!action) section = keys;
+    else for (const key of keys) actionOf.set(key, [action, [OF_SCAN, OF_LOG].includes(section) || key === "k"]);
   }
   const sheet = $("keys");
   let list = null;
@@ -100,9 +104,10 @@ export function startKeys(view, redraw) {
     const { target } = event, range = target.type === "range";
     const typing = target.matches("input:not([type=range], [type=checkbox]), select, textarea");
     if (typing || (range && /^(Arrow|Page|Home|End)/.test(event.key))) return;
-    const action = actionOf.get(event.key);
+    const [action, ofScan] = actionOf.get(event.key) ?? [];
     if (!action || (event.key === "Enter" && target.id !== "canvas")) return;
     event.preventDefault();
-    action(event);
+    if (ofScan && !state.scan && !pointing()) change({ note: "There is no scan yet: open a file of scans (O)." });
+    else action(event);
   });
 }

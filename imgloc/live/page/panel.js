@@ -103,7 +103,7 @@ function comparison() {
   if (answer.parameters?.method !== "fused" || chosen === 0) return "";
   const nats = fit.log_likelihood - best.log_likelihood;
   const worth = Math.exp(Math.min(50, Math.abs(nats) / answer.evidence.temperature));
-  const times = worth < 1.05 ? "as likely as" : `${worth < 1000 ? worth.toPrecision(2) : "more than 1000"} times ${nats < 0 ? "less" : "more"} likely than`;
+  const times = worth < 1.05 ? "as likely as" : `${worth < 999 ? Number(worth.toPrecision(3)) : "more than 1000"} times ${nats < 0 ? "less" : "more"} likely than`;
   return `${fixed(nats, 1)} nats against hypothesis 1: ${times} it.`;
 }
 
