@@ -320,6 +320,7 @@ def test_a_slice_of_a_pcd_is_a_scan(tmp_path: Path, how: str) -> None:
         path = tmp_path / name
         path.write_bytes(head.encode() + (words if how == "ascii" else points.tobytes()))
         (scan,) = load_scans(path, height=(-0.2, 0.2)).scans
+        assert scans_size(path, height=(-0.2, 0.2)).scans == 1
         assert scan.ranges[scan.valid].tolist() == [4.0, 2.0]
         assert np.rad2deg(scan.angles[scan.valid]).round(6).tolist() == [180.0, 90.0]
     with pytest.raises(ScanError, match=r"pass `height=-0.1,0.1`"):
