@@ -91,7 +91,6 @@ def test_what_may_be_wrong_weighs_and_makes_nothing_unique(scans: Path, tmp_path
         (("--memory-budget", "lots"), 2, "number of bytes"),
         (("--memory-budget", "8M"), 2, "budget is 8 MiB"),
         (("--time-budget", "1", "--method", "cbml"), 2, "time budget"),
-        (("--exact-argmax",), 2, "--method cbml"),
         (("--cache", ".", "--no-cache"), 2, "one of them"),
     ],
 )

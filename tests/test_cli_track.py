@@ -304,8 +304,6 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--start", "1,2"], 2, "3 numbers"),
         (["--start", "1,2,90"], 2, "radians"),
         (["--start", "1,2,400deg"], 2, "expected -360deg to 360deg"),
-        (["--kidnap", "5,1,2,0"], 2, "tools.sequences"),
-        (["--simulate-odometry=1"], 2, "--odom scans"),
         (["--start", "1,900,0"], 2, "start: 1,900 is outside of the map"),
         (["--every", "-1,3"], 2, "--every: got -1.0, expected metres, 0 to "),
         (["--max-sd", "0,10"], 2, "--max-sd: got 0.0, expected metres, 0.001 to "),

@@ -129,6 +129,7 @@ def test_a_piece_is_seen_with_or_without_what_is_movable(model):
 def naive_pieces(ranges, angles):
     """Indices of the readings in pieces of 20 degrees without a jump of 0.5 m."""
     order = sorted(range(len(angles)), key=lambda k: angles[k])
+    turned = {k: math.floor((angles[k] - angles[order[0]]) / math.radians(20)) for k in order}
     ends = [ranges[k] * cmath.exp(1j * angles[k]) for k in (order[0], order[-1])]
     if abs(ends[0] - ends[1]) <= 0.5:  # begin where a surface does
         jumps = [abs(ranges[k] - ranges[j]) > 0.5 for j, k in itertools.pairwise(order)]
@@ -136,9 +137,7 @@ def naive_pieces(ranges, angles):
         order = order[begin:] + order[:begin]
     pieces = [[order[0]]]
     for before, k in itertools.pairwise(order):
-        full, first = 2 * math.pi, angles[order[0]]
-        turned = [math.floor((angles[j] - first) % full / math.radians(20)) for j in (before, k)]
-        if turned[0] == turned[1] and abs(ranges[k] - ranges[before]) <= 0.5:
+        if turned[before] == turned[k] and abs(ranges[k] - ranges[before]) <= 0.5:
             pieces[-1].append(k)
         else:
             pieces.append([k])

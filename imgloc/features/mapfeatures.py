@@ -133,10 +133,14 @@ class MapFeatures:
         """Distance to the nearest occupied cell, in cells, for casting rays."""
         return read_only(distance_image(self.grid.occupied))
 
-    @cached_property
+    @property
     def furnished(self) -> "MapFeatures | None":
         """Features of the map on which all that is movable stands; None if nothing is."""
-        return None if self.grid.movable is None else replace(self, grid=self.grid.furnished)
+        return None if self.grid.movable is None else self._furnished
+
+    @cached_property
+    def _furnished(self) -> "MapFeatures":
+        return replace(self, grid=self.grid.furnished)
 
     @property
     def both(self) -> "tuple[MapFeatures, ...]":
@@ -187,7 +191,7 @@ class MapFeatures:
             ahead = thinnest if self.grid.occupied.size <= AHEAD_CELLS else 0
             for cells in range(1, ahead + 1):
                 there = self.thinner(cells)
-                _ = there.field, there.walls, there.standable, there.pyramid, there.furnished
+                _ = there.field, there.walls, there.standable, there.pyramid
         return self
 
     @cached_property

@@ -285,12 +285,12 @@ def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray, 
     """
     angle, jump = _PIECE
     order = np.argsort(angles, kind="stable")
+    turned = np.floor((angles[order] - angles[order[0]]) / angle)
     far = np.abs(np.diff(ranges[order], prepend=ranges[order[-1]])) > jump
     last, first = ranges[order[[-1, 0]]] * np.exp(1j * angles[order[[-1, 0]]])
     begin = int(far.argmax()) if abs(first - last) <= jump else 0
-    order, far = np.roll(order, -begin), np.roll(far, -begin)
+    order, turned, far = (np.roll(each, -begin) for each in (order, turned, far))
     far[0] = True
-    turned = np.floor((angles[order] - angles[order[0]]) % (2 * np.pi) / angle)
     parts = np.flatnonzero(far | (np.diff(turned, prepend=turned[0]) != 0))
     return order, parts, ~far[parts]
 
