@@ -289,7 +289,8 @@ def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray, 
     far = np.abs(np.diff(ranges[order], prepend=ranges[order[-1]])) > jump
     last, first = ranges[order[[-1, 0]]] * np.exp(1j * angles[order[[-1, 0]]])
     begin = int(far.argmax()) if abs(first - last) <= jump else 0
-    order, turned, far = (np.roll(each, -begin) for each in (order, turned, far))
+    index = np.roll(np.arange(len(order)), -begin)
+    order, turned, far = order[index], turned[index], far[index]
     far[0] = True
     parts = np.flatnonzero(far | (np.diff(turned, prepend=turned[0]) != 0))
     return order, parts, ~far[parts]
