@@ -374,7 +374,7 @@ def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says() -> 
 
 
 def test_two_clients_with_one_name_never_see_each_others_map() -> None:
-    """240 steps in random order: each is answered from the map that the client has sent."""
+    """1,000 steps in random order: each is answered from the map that the client has sent."""
     draw, maps = random.Random(5), [room(60, 50), room(50, 60, 9)]
     scan = {"ranges": [1.0] * 12, "angle_min": -3.0, "angle_increment": 0.5}
     how = {"name": "office", "resolution": "0.1"}
@@ -401,7 +401,7 @@ def test_two_clients_with_one_name_never_see_each_others_map() -> None:
 
     async def run(address: str) -> None:
         async with httpx.AsyncClient(base_url=address, timeout=120) as ask:
-            await asyncio.gather(*(client(ask, image, 120) for image in maps))
+            await asyncio.gather(*(client(ask, image, 500) for image in maps))
 
     with served(CURVED) as one:
         asyncio.run(run(one.address))
