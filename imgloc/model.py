@@ -289,7 +289,7 @@ class LaserScan(ByContent):
 
     @property
     def digest(self) -> str:
-        """A digest of the readings, angles and limits, other than that of any other scan."""
+        """A hash of the readings, angles and limits: scans with the same one are equal in these."""
         parts = (np.array([self.range_min, self.range_max]), self.ranges, self.angles)
         held = b"".join(part.tobytes() for part in parts)
         return hashlib.blake2b(held, digest_size=8).hexdigest()

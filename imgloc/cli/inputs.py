@@ -1,4 +1,4 @@
-"""Shared by the commands, of files: the desk they work at, what they write, what is known.
+"""Files of the commands: the desk that reads them, targets that they write, known poses.
 
 This loads all of imgloc: a command imports it when it runs.
 """

@@ -1,1 +1,1 @@
-"""Seen by the algorithms: surface points, fields, visibility and ray distances."""
+"""Features of a map and a scan: surface points, fields, visibility and ray distances."""

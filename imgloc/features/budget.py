@@ -75,7 +75,7 @@ def check_budget(need: int, budget: int | None, what: str, hint: str) -> None:
 
 
 def surface_count(grid: OccupancyGrid) -> int:
-    """Most surface points that a map has: its edges between occupied and free cells.
+    """Upper bound for the surface points of a map: its edges between occupied and free cells.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Answers of a service that has no other: problem documents (RFC 9457).
+"""Problem documents (RFC 9457): the answers to requests that the service refuses.
 
 >>> from imgloc.errors import MapError
 >>> problem_of(MapError("office.yaml: resolution: missing")).document

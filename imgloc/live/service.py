@@ -102,7 +102,7 @@ OPENED = "0" * 32  #: id of the scans that a service is given to begin with
 
 @dataclass(frozen=True)
 class Begun:
-    """Given to a service to begin with."""
+    """Maps and scans that a service has from the beginning."""
 
     #: paths of the maps, by name, as the command line has them
     paths: Mapping[str, str] = field(default_factory=dict)

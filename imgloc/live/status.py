@@ -1,4 +1,4 @@
-"""News for a robot of where it is: one JSON object, and how well that is."""
+"""The status of a robot: where it is, how sure that is, and why, in one JSON object."""
 
 import math
 from collections.abc import Sequence
