@@ -28,9 +28,9 @@ The first reading of a thing pays for its place, and the others follow from it: 
 on, the next piece of the same thing pays no price. All ways to share the pieces of a scan out are
 summed, piece after piece.
 
-Rays that meet nothing say less, because glass and dark surfaces return none. Where the map has no wall
-as far as another reading shows that the sensor reaches, they cost nothing. A piece of them (20
-degrees) that should meet a wall is a thing of its own at most: nothing shows a surface that goes on.
+Rays that meet nothing say less, because glass and dark surfaces return none. Where the map has no
+wall as far as another reading shows that the sensor reaches, they cost nothing. A piece of them (20
+degrees) that should meet a wall is a thing of its own at most: nothing shows that one goes on.
 
 A map may name what is movable, as the furniture of a drawing. A piece is then seen with or without
 all of that, one as likely as the other::
