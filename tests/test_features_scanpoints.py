@@ -283,3 +283,13 @@ def test_rays_that_come_three_times_have_their_normals():
     thrice = scan_points(ranges.repeat(3), angles.repeat(3), every(angles.repeat(3)))
     assert thrice.valid.mean() > 0.95
     assert np.median(degrees_off(thrice.alpha[1::3], once.alpha)) < 1
+
+
+def test_rays_side_by_side_that_met_nothing_are_open_space_and_a_lost_reading_is_not():
+    ranges = np.array([2.0, np.inf, 3.0, np.inf, np.inf, 20.0, np.inf, 4.0, np.nan, np.nan, np.nan])
+    angles = np.arange(len(ranges)) / 10
+    silent = one_per_place(LaserScan(ranges, angles, range_max=20.0), 0.05).silent
+    np.testing.assert_allclose(silent.angles, [0.4, 0.5])
+    np.testing.assert_allclose(silent.ranges, 4.0)  # as far as it has shown that it reaches
+    shuffled = LaserScan(ranges[::-1], angles[::-1], range_max=20.0)
+    np.testing.assert_allclose(one_per_place(shuffled, 0.05).silent.angles, silent.angles)

@@ -95,8 +95,8 @@ def test_a_scan_that_fits_nowhere_outweighs_no_place_that_the_scans_before_hold(
     for scan, odom, stamp in zip(drive.scans[:30], drive.odom, drive.stamps, strict=False):
         moment = own.step(replace(scan, stamp=float(stamp)), odom)
     odd = replace(scan, ranges=np.full(len(scan.ranges), 4.0))
-    ambiguous = replace(moment, belief=replace(moment.belief, verdict="ambiguous"))
-    for withheld, expected in (("unconfirmed", CANNOT), ("", DISAGREES)):
-        watch, held = Watch(features, imgloc.Options()), replace(ambiguous, withheld=withheld)
+    for share, expected in ((1.0, CANNOT), (0.01, DISAGREES)):
+        belief = replace(moment.belief, verdict="ambiguous", mass=share * moment.belief.mass)
+        watch, held = Watch(features, imgloc.Options()), replace(moment, belief=belief)
         watch.hear(0.0, moment.best, None)
         assert [watch.step(odd, None, held, at).said for at in (1.0, 2.0)] == [CANNOT, expected]

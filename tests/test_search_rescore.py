@@ -463,6 +463,22 @@ def test_what_hides_a_wall_costs_once():
     assert model.best * 40 - wall < 12
 
 
+@pytest.mark.parametrize(("reach", "things"), [(3.9, 0), (6.0, 1)])
+@pytest.mark.parametrize("n", [12, 24])
+def test_rays_that_meet_nothing_cost_once_where_the_map_has_a_wall(reach, things, n):
+    angles = np.linspace(-0.15, 0.15, n)
+    readings = Readings(np.array([1.0]), np.array([np.pi / 2]))
+    silent = replace(readings, silent=Readings(np.full(n, reach), angles))
+    features = MapFeatures(OccupancyGrid(corridor(), ~corridor(), RESOLUTION))
+    met, unmet = (
+        score_poses(features, r, np.array(POSE), EvidenceModel()) for r in (readings, silent)
+    )
+    assert met.things[0] - unmet.things[0] == pytest.approx(
+        things * number("rescore.price"), abs=0.1
+    )
+    assert met.log_likelihood[0] == unmet.log_likelihood[0]
+
+
 def test_pieces_that_pass_through_a_wall_are_counted_and_strays_are_not():
     angles = np.linspace(-0.3, 0.3, 12)
     for screened in (False, True):

@@ -1,6 +1,6 @@
 """The points of a scan, and their normals (Fig. 3) by regression over neighbouring rays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -129,6 +129,8 @@ class Readings:
 
     ranges: FloatArray  #: (N,) metres
     angles: FloatArray  #: (N,) radians, sensor frame, ascending
+    #: rays that met nothing as far as another reading shows that the sensor reaches
+    silent: "Readings | None" = None
 
     def __len__(self) -> int:
         return len(self.ranges)
@@ -139,8 +141,9 @@ class Readings:
         return np.column_stack((np.cos(self.angles), np.sin(self.angles))) * self.ranges[:, None]
 
     def spread(self, n: int) -> "Readings":
-        """At most `n` of them, evenly spread over all."""
-        return self._select(evenly(len(self), n))
+        """At most `n` of them, evenly spread over all; and of the silent ones."""
+        silent = None if self.silent is None else self.silent.spread(n)
+        return replace(self._select(evenly(len(self), n)), silent=silent)
 
     def parts(self) -> "tuple[Readings, Readings, Readings]":
         """The half that is farther away, and the two halves of the view.
@@ -158,7 +161,7 @@ class Readings:
         return self._select(far), self._select(each[:half]), self._select(each[half:])
 
     def _select(self, pick: IntArray) -> "Readings":
-        return Readings(self.ranges[pick], self.angles[pick])
+        return Readings(self.ranges[pick], self.angles[pick], self.silent)
 
 
 def one_per_place(scan: LaserScan, side: float) -> Readings:
@@ -167,6 +170,7 @@ def one_per_place(scan: LaserScan, side: float) -> Readings:
     Rays are dense where a wall is near, and all of them share its error on the map: counted one by
     one, a near surface outvotes the far walls, which fix the robot's place. Many readings in the
     last hundredth of the sensor's reach are no distances but codes for glass and open space.
+    Directions in which several rays side by side met nothing are kept, too.
 
     Parameters
     ----------
@@ -196,7 +200,17 @@ def one_per_place(scan: LaserScan, side: float) -> Readings:
     x, y = (np.bincount(cell, along) / count for along in xy.T)
     angles = np.arctan2(y, x)
     order = np.argsort(angles, kind="stable")
-    return Readings(np.hypot(x, y)[order], angles[order])
+    far = np.hypot(x, y)[order]
+    silent = _silent(scan, scan.no_return | (scan.valid & ~seen), far.max(initial=0.0))
+    return Readings(far, angles[order], silent)
+
+
+def _silent(scan: LaserScan, none: BoolArray, reach: float) -> Readings:
+    """The rays that met nothing, nor did their neighbours: a lost reading is no open space."""
+    order = np.argsort(scan.angles, kind="stable")
+    none = none[order]
+    angles = scan.angles[order][none & np.roll(none, 1) & np.roll(none, -1)]
+    return Readings(np.full(len(angles), reach), angles)
 
 
 def scan_xy(scan: LaserScan) -> FloatArray:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.answers.fit import fit_at
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
-from imgloc.filters.follow import BLIND, UNCONFIRMED, Moment
-from imgloc.geometry import wrap
+from imgloc.filters.evidence import settled, sight, usable, view_of
+from imgloc.filters.follow import BLIND, Moment
+from imgloc.geometry import in_grid_frame, wrap
 from imgloc.model import LaserScan, Pose2D, base_of, compose, inverse, plain
 from imgloc.numbers import number
 from imgloc.options import Options
@@ -24,7 +24,7 @@ _NEAR: tuple[float, float] = number("watch.near")
 _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
 _LOOKS: int = number("watch.looks")
-_EXPLAINED: float = number("watch.explained")
+_CHANCE: float = number("watch.chance")
 
 
 @dataclass(frozen=True)
@@ -128,13 +128,25 @@ class Watch:
         mount = scan.T_base_laser or Pose2D(0.0, 0.0)
         if answer.verdict == UNIQUE:
             return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
-        own = moment.best if moment.withheld == UNCONFIRMED else None
-        if own is not None and self._beside(claim, own)[0] == AGREES:
-            return CANNOT, "the scans before are for it, and this one fits no place", None
-        fit = fit_at(self.features, scan, compose(claim, mount), self.options, settle=True)
-        if answer.verdict == "invalid" or not fit.explained < _EXPLAINED:
+        base = in_grid_frame(claim, self.features.grid)
+        if (held := self._held(base, moment)) > _CHANCE:
+            return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
+        if answer.verdict == "invalid" or (seen := usable(scan, self.options)) is None:
+            return CANNOT, "the scan says little", None
+        view, at = view_of(seen, self.options), np.array([[base.x, base.y, base.theta]])
+        at = settled(self.features, view, at)
+        odds = sight(self.features, view, at, self.options).gained
+        if odds > np.log(_CHANCE / (1 - _CHANCE)):
             return CANNOT, "several places fit, or the scan says little", None
-        return DISAGREES, f"the scan fits there to {100 * fit.explained:.0f} %", None
+        return DISAGREES, f"the scan is {np.exp(-odds):.3g} times as likely in no place", None
+
+    def _held(self, base: Pose2D, moment: Moment) -> float:
+        """Probability of the places of the own filter that are near a pose, grid frame."""
+        x, y, theta = moment.belief.poses.T
+        near = np.hypot(x - base.x, y - base.y) <= _NEAR[0]
+        return float(
+            moment.belief.mass[near & (np.abs(wrap(theta - base.theta)) <= _NEAR[1])].sum()
+        )
 
     def _beside(self, claim: Pose2D, own: Pose2D) -> tuple[str, str, Pose2D | None]:
         metres = float(np.hypot(claim.x - own.x, claim.y - own.y))

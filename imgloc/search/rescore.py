@@ -28,6 +28,10 @@ The first reading of a thing pays for its place, and the others follow from it: 
 on, the next piece of the same thing pays no price. All ways to share the pieces of a scan out are
 summed, piece after piece.
 
+Rays that meet nothing say less, because glass and dark surfaces return none. Where the map has no
+wall as far as another reading shows that the sensor reaches, they cost nothing. A piece of them (20
+degrees) that should meet a wall is a thing of its own at most: nothing shows that one goes on.
+
 A map may name what is movable, as the furniture of a drawing. A piece is then seen with or without
 all of that, one as likely as the other::
 
@@ -123,6 +127,7 @@ def score_poses(
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     # On bent walls all pieces are displaced or gone already.
     things = log_likelihood if model.bent else by_things(told, own, goes_on)
+    things = things + silence(features, readings, poses, model)
     return Scores(log_likelihood, things, fits, some & (told < own), passing, on_surface, crossed)
 
 
@@ -154,7 +159,20 @@ def score_things(
     _, parts, goes_on = pieces(readings.ranges, readings.angles)
     total, told, _, _ = _told(features, readings, poses, model)
     own = things_of_their_own(parts, len(readings), model)
-    return total if model.bent else by_things(told, own, goes_on)
+    score = total if model.bent else by_things(told, own, goes_on)
+    return score + silence(features, readings, poses, model)
+
+
+def silence(
+    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
+) -> FloatArray:
+    """Log-probability (C,) of the pieces of rays that met nothing, nats."""
+    if (silent := readings.silent) is None or not len(silent):
+        return np.zeros(len(poses))
+    order, parts, _ = pieces(silent.ranges, silent.angles)
+    stands = _stands(_shifted(features, silent, poses, model), model)
+    told = _sums(np.log(stands)[:, order], parts)
+    return np.asarray(np.logaddexp(told, -_PRICE).sum(axis=1))
 
 
 def score_readings(
@@ -178,8 +196,7 @@ def _told(
     if model.bent:
         told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
     else:
-        stands = np.float32(model.absent) + np.float32(1 - model.absent) * shifted
-        told = _sums(np.log(density * stands)[:, order], parts)
+        told = _sums(np.log(density * _stands(shifted, model))[:, order], parts)
     if features.furnished is not None:
         _, other, far, beyond = _told(features.furnished, readings, poses, model)
         rather = np.empty(distance.shape, np.bool_)
@@ -245,6 +262,11 @@ def _shifted(
     seen = cast_along(features.walls, poses[:, None, :2], *along, reach, resolution)
     beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     return np.asarray(np.exp(-np.square(beyond / np.float32(model.displaced))))
+
+
+def _stands(shifted: Float32Array, model: EvidenceModel) -> Float32Array:
+    """Chance that walls which are displaced with the chance `shifted` let readings pass."""
+    return np.float32(model.absent) + np.float32(1 - model.absent) * shifted
 
 
 def _endpoint_density(

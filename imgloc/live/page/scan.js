@@ -161,7 +161,7 @@ export function reason(scan, fit, k) {
       ? `The map has a wall in its way, ${wall.toFixed(2)} m from the sensor.`
       : "The map has a wall in its way.",
     unexplained: `It ends ${near}: the map has nothing there.`,
-    no_return: "It met nothing within reach, and has no say.",
+    no_return: "It met nothing within reach. Where the map has a wall, several side by side count against the pose.",
     invalid: "It is no distance, and has no say.",
   }[kind];
   return [head, why ?? ""];
