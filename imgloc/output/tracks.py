@@ -121,10 +121,9 @@ def draw_track(
         far = float(np.hypot(*(next_xy - xy)))
         if n.index == m.index + 1 and far < _STEP:
             canvas.lines(np.stack((xy, next_xy))[None], COLOURS[UNIQUE], 2)
-        elif far > 2 * (n.metres - m.metres) + _CARRIED:
+        elif far > _no_driving(m, n):
             carried_off.append(far)
-            dashes = np.linspace(xy, next_xy, 2 * max(2, round(far * canvas.px_per_m / 16)))
-            canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
+            _dashed(canvas, np.stack((xy, next_xy)))
     begin = moments[0].stamp if moments else math.nan
     marks, labels = _marks(canvas, sure, grid.origin.theta, begin)
     verdicts = [m.belief.verdict for m in moments]
@@ -144,6 +143,18 @@ def draw_track(
     if found is not None and len(found.ape) > 1:
         picture = mosaic([picture, _curve(moments, found, picture.image.shape[1])], columns=1)
     return picture
+
+
+def _no_driving(before: Moment, after: Moment) -> float:
+    """Metres between two poses beyond which the robot was carried, by its odometry."""
+    return 2 * (after.metres - before.metres) + _CARRIED
+
+
+def _dashed(canvas: Picture, ends: FloatArray) -> None:
+    """Draw the way that a robot was carried, between two ends (2, 2)."""
+    far = float(np.hypot(*(ends[1] - ends[0])))
+    dashes = np.linspace(*ends, 2 * max(2, round(far * canvas.px_per_m / 16)))
+    canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
 
 
 def _marks(
@@ -247,6 +258,7 @@ class Video:
         entries: list[Entry] = [(colour, ROBOT, name) for name, colour in COLOURS.items()]
         entries += [(faded(COLOURS[AMBIGUOUS], 0.4), ROBOT, "other places, paler if less likely")]
         entries += [(SCAN, DOT, "scan"), (COLOURS[UNIQUE], LINE, "way")]
+        entries.append((OFF, DASHED, "carried off"))
         sheet = framed(self._map, grid.origin, title, entries)
         # Where in it the upper left pixel of the map is.
         upper = np.array([(self._map.box[0, 0], self._map.box[1, 1])])
@@ -256,8 +268,8 @@ class Video:
         self._words = figure.text(16 / width, 0.4, "", size=10, color=ink(INK))
         around = ((0, 28 + height % 2), (0, width % 2), (0, 0))
         self._sheet = np.pad(sheet.image, around, constant_values=255)
-        self._trail, self._begin = list[FloatArray](), math.nan
-        self._last: int | None = None
+        self._trail, self._carried, self._begin = list[FloatArray](), list[FloatArray](), math.nan
+        self._last: Moment | None = None
         handle, self._path = tempfile.mkstemp(suffix=ending)
         os.close(handle)
         fourcc = cv2.VideoWriter.fourcc(*_CODECS[ending])
@@ -272,13 +284,15 @@ class Video:
         height, width = self._map.image.shape[:2]
         part = frame[self._top :, self._left :][:height, :width]
         canvas = replace(self._map, image=part)
+        self._extend(moment)
         for way in self._trail:
             canvas.lines(way[None], COLOURS[UNIQUE], 2)
+        for ends in self._carried:
+            _dashed(canvas, ends)
         if scan is not None and len(belief.poses):
             base = Pose2D(*belief.poses[0])
             at = base if scan.T_base_laser is None else compose(base, scan.T_base_laser)
             canvas.dots(transform_points(at, scan_xy(scan)[scan.valid]), SCAN, 1.5)
-        self._extend(moment)
         _draw_belief(canvas, belief)
         about = f"{moment.stamp - self._begin:.1f} s, " if np.isfinite(moment.stamp) else ""
         others = int(np.count_nonzero(belief.mass[1:] >= _DRAWN))
@@ -292,14 +306,16 @@ class Video:
     def _extend(self, moment: Moment) -> None:
         """Add the pose of a moment to the trail, if it is unique."""
         if moment.pose is None:
-            self._last = None
             return
-        xy = moment.belief.poses[:1, :2]
-        if self._last == moment.index - 1 and np.hypot(*(xy[0] - self._trail[-1][-1])) < _STEP:
+        xy, last, self._last = moment.belief.poses[:1, :2], self._last, moment
+        ends = xy if last is None else np.concatenate((self._trail[-1][-1:], xy))
+        far = float(np.hypot(*(ends[-1] - ends[0])))
+        if last is not None and last.index == moment.index - 1 and far < _STEP:
             self._trail[-1] = np.concatenate((self._trail[-1], xy))
-        else:
-            self._trail.append(xy)
-        self._last = moment.index
+            return
+        self._trail.append(xy)
+        if last is not None and far > _no_driving(last, moment):
+            self._carried.append(ends)
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the file."""
