@@ -153,7 +153,7 @@ def _no_driving(before: Moment, after: Moment) -> float:
 def _dashed(canvas: Picture, ends: FloatArray) -> None:
     """Draw the way that a robot was carried, between two ends (2, 2)."""
     far = float(np.hypot(*(ends[1] - ends[0])))
-    dashes = np.linspace(*ends, 2 * max(2, round(far * canvas.px_per_m / 16)))
+    dashes = np.linspace(ends[0], ends[1], 2 * max(2, round(far * canvas.px_per_m / 16)))
     canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
 
 
