@@ -143,6 +143,8 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers/topics": _warns("{count} lasers: this is {first}; `topic={names}` follows all of "
                                 "them"),
     # Tried by laying scans over each other, as the odometry moved the sensor.
+    "two-lasers/odd": _warns("of {laser} only {share:.0%} of the readings fall on an earlier scan, "
+                             "as the odometry has it: is its place on the robot wrong?"),
     "two-lasers/apart": _warns("{count} lasers: this is {first}; `topic` picks one of {names}"),
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "

@@ -164,6 +164,7 @@ class _Look:
     def _topic(self, path: Path, form: str, kinds: "Sequence[Kind]") -> "tuple[Logs, list[Cause]]":
         """The laser that is looked at, and a word about the others."""
         from imgloc.answers.causes import cause
+        from imgloc.answers.logcheck import check_log
         from imgloc.io.kinds import lasers_in
         from imgloc.runs.opening import ScanFiles
 
@@ -174,13 +175,15 @@ class _Look:
         first = next((k.name for k in lasers if k.name in ("/scan", "FLASER")), lasers[0].name)
         if first == "/scan":  # the others are often made of it
             return self.logs, []
-        key = "two-lasers/topics"
+        key, found = "two-lasers/topics", list["Cause"]()
         try:
-            self.desk.scans(path, ScanFiles(**vars(replace(self.logs, topic=names)), many=True))
+            how = ScanFiles(**vars(replace(self.logs, topic=names)), many=True)
+            report = check_log(self.desk.scans(path, how).scans)
+            found += (each for each in report.findings if each.code == "two-lasers")
         except ScanError:  # they are not of one robot, or it is not known where they sit
             key = "two-lasers/apart"
-        found = cause(key, count=len(lasers), first=first, names=names)
-        return replace(self.logs, topic=first), [found]
+        found.append(cause(key, count=len(lasers), first=first, names=names))
+        return replace(self.logs, topic=first), found
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
         """The command to go on with: it goes on from the options that were typed."""
