@@ -109,7 +109,7 @@ def _map(path: Path, how: "MapFiles", desk: "Desk", typed: Typed, *, as_json: bo
     known = {field.flag for field in declared(opt.MapImages)} - {"--allow-lossy"}
     known.add("--memory-budget")
     words = _quoted({flag: words for flag, words in typed.items() if flag in known})
-    command = " ".join(["imgloc map check", shlex.quote(str(path)), *words])
+    command = " ".join(["imgloc map check", _word(path), *words])
     if as_json:
         emit(to_json(answer.row | {"next": command}))
     else:
@@ -189,7 +189,7 @@ class _Look:
         """The command to go on with: it goes on from the options that were typed."""
         follow = report.can_be_followed and report.facts["scans"] >= _LEAST
         words = ["imgloc", "track" if follow else "localize"]
-        words += ["MAP" if self.map is None else shlex.quote(str(self.map)), shlex.quote(str(path))]
+        words += ["MAP" if self.map is None else _word(self.map), _word(path)]
         words += [] if follow else ["--scans-index", str(report.scan)]
         typed = {flag: one for flag, one in self.typed.items() if flag not in _OWN}
         typed |= {"--topic": ["--topic", logs.topic]} if logs.topic is not None else {}
@@ -201,6 +201,13 @@ class _Look:
         if self.mounting.flipped and "--flipped" in mended:  # it is upright
             del typed["--flipped"], mended["--flipped"]
         return " ".join([*words, *_quoted(typed | mended)])
+
+
+def _word(path: Path) -> str:
+    """What names a file on a command line: a bundled map its name, and a copy its address."""
+    from imgloc.io.maps import named_map
+
+    return shlex.quote(path.stem if named_map(path.stem) == path else display(path))
 
 
 def _quoted(typed: Typed) -> list[str]:
