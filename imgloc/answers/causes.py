@@ -190,7 +190,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
                     "took them to be {less:.2f} m thinner on each side, and each piece of them to "
                     "stand {off:.2f} m off. On such a map one scan is rarely enough. imgloc track "
                     "finds the robot over some metres; a map of the robot's own scans gives surer "
-                    "poses", "", "thick walls: imgloc track"),
+                    "poses", "", "the walls are drawn thick: imgloc track"),
     "bent": _wrong("{fits} this map far better with {found}. " + _ONCE_FOR_ALL, "",
                    "fits far better with {brief}: imgloc calibrate"),
     "bent/walls": _wrong("most scans fit this map far better with {found}, so imgloc allowed for "

@@ -94,8 +94,10 @@ def _is_map(path: Path) -> bool:
 
 def _is_echo(path: Path) -> bool:
     """Return whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
+    from imgloc.io.text import unmarked
+
     with contextlib.suppress(OSError), path.open("rb") as file:
-        return b"ranges:" in file.read(4096)
+        return b"ranges:" in unmarked(file.read(4096))
     return False
 
 
