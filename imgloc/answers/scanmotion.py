@@ -63,7 +63,6 @@ class Agreement:
 
     share: float  #: NaN if the robot does not move enough
     best: Way | None = None  #: what makes them agree, if they do not
-    best_share: float = math.nan
     two_lasers: bool = False  #: whether every other scan agrees with its like alone
 
 
@@ -83,7 +82,7 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
         share = _share(scans.scans.__getitem__, odom, pairs, way)
         if share > most * (_TWO if way.then and best else 1):
             best, most = way, share
-    return Agreement(here, best, most if best else math.nan)
+    return Agreement(here, best)
 
 
 def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float] | None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from imgloc.cli import options as opt
 from imgloc.cli.command import Typed
 from imgloc.cli.console import LOG, emit
-from imgloc.errors import ConfigError, ScanError, as_options
+from imgloc.errors import ConfigError, MapError, ScanError, as_options
 from imgloc.io.files import display
 from imgloc.options import Logs, MemoryBudget, Mounting, Options
 from imgloc.ranges import declared, option
@@ -75,7 +75,6 @@ def inspect(
 
 def _is_map(path: Path) -> bool:
     """True of a map: an image, a YAML that names one, or a bundled map by its name."""
-    from imgloc.errors import MapError
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
     from imgloc.io.maps import YAML_ENDINGS
     from imgloc.io.mapyaml import image_named
@@ -177,15 +176,17 @@ class _Look:
         first = next((k.name for k in lasers if k.name in ("/scan", "FLASER")), lasers[0].name)
         if first == "/scan":  # the others are often made of it
             return self.logs, []
-        key, found = "two-lasers/topics", list["Cause"]()
+        key, odd = "two-lasers/topics", list["Cause"]()
         try:
             how = ScanFiles(**vars(replace(self.logs, topic=names)), many=True)
-            report = check_log(self.desk.scans(path, how).scans)
-            found += (each for each in report.findings if each.code == "two-lasers")
+            every = check_log(self.desk.scans(path, how).scans)
+            odd = [found for found in every.findings if found.code == "two-lasers"]
         except ScanError:  # they are not of one robot, or it is not known where they sit
             key = "two-lasers/apart"
-        found.append(cause(key, count=len(lasers), first=first, names=names))
-        return replace(self.logs, topic=first), found
+        return replace(self.logs, topic=first), [
+            *odd,
+            cause(key, count=len(lasers), first=first, names=names),
+        ]
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
         """The command to go on with: it goes on from the options that were typed."""

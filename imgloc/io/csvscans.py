@@ -228,11 +228,11 @@ class _Table:
                 there = ", ".join(c for c in wanted if c in by)
                 expected = f"expected all of {', '.join(wanted)} or none"
                 raise ScanError(f"{self.name}: columns {there}, {expected}")
-        if fov is not None and not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
-            self.settings["angles"] = spread(len(ranges), fov)
         if not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
-            expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
-            raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
+            if fov is None:
+                expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
+                raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
+            self.settings["angles"] = spread(len(ranges), fov)
         entries = list[Entry]()
         for where, row in self.rows:
             values = row[ranges]

@@ -27,6 +27,7 @@ from imgloc.output.canvas import (
     SHADE,
     TRUTH,
     Colour,
+    Image,
     Picture,
     building,
     enlarged,
@@ -118,12 +119,8 @@ def draw_track(
     sure = [(m, xy) for m, xy in zip(guessed, at, strict=True) if m.pose is not None]
     carried_off = list[float]()
     for (m, xy), (n, next_xy) in itertools.pairwise(sure):
-        far = float(np.hypot(*(next_xy - xy)))
-        if n.index == m.index + 1 and far < _STEP:
-            canvas.lines(np.stack((xy, next_xy))[None], COLOURS[UNIQUE], 2)
-        elif far > _no_driving(m, n):
+        if far := _lay_way(canvas, m, n, np.stack((xy, next_xy))):
             carried_off.append(far)
-            _dashed(canvas, np.stack((xy, next_xy)))
     begin = moments[0].stamp if moments else math.nan
     marks, labels = _marks(canvas, sure, grid.origin.theta, begin)
     verdicts = [m.belief.verdict for m in moments]
@@ -145,16 +142,16 @@ def draw_track(
     return picture
 
 
-def _no_driving(before: Moment, after: Moment) -> float:
-    """Metres between two poses beyond which the robot was carried, by its odometry."""
-    return 2 * (after.metres - before.metres) + _CARRIED
-
-
-def _dashed(canvas: Picture, ends: FloatArray) -> None:
-    """Draw the way that a robot was carried, between two ends (2, 2)."""
+def _lay_way(canvas: Picture, before: Moment, after: Moment, ends: FloatArray) -> float:
+    """Draw the way between two unique poses (2, 2); the metres that it was carried, or 0."""
     far = float(np.hypot(*(ends[1] - ends[0])))
-    dashes = np.linspace(ends[0], ends[1], 2 * max(2, round(far * canvas.px_per_m / 16)))
-    canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
+    if after.index == before.index + 1 and far < _STEP:
+        canvas.lines(ends[None], COLOURS[UNIQUE], 2)
+    elif far > 2 * (after.metres - before.metres) + _CARRIED:
+        dashes = np.linspace(ends[0], ends[1], 2 * max(2, round(far * canvas.px_per_m / 16)))
+        canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
+        return far
+    return 0.0
 
 
 def _marks(
@@ -268,8 +265,7 @@ class Video:
         self._words = figure.text(16 / width, 0.4, "", size=10, color=ink(INK))
         around = ((0, 28 + height % 2), (0, width % 2), (0, 0))
         self._sheet = np.pad(sheet.image, around, constant_values=255)
-        self._trail, self._carried, self._begin = list[FloatArray](), list[FloatArray](), math.nan
-        self._last: Moment | None = None
+        self._begin, self._last = math.nan, list[Moment]()  # the last unique one
         handle, self._path = tempfile.mkstemp(suffix=ending)
         os.close(handle)
         fourcc = cv2.VideoWriter.fourcc(*_CODECS[ending])
@@ -280,15 +276,14 @@ class Video:
         """Add the frame of a moment, with its scan at the best place."""
         if math.isnan(self._begin):
             self._begin = moment.stamp
-        frame, belief = self._sheet.copy(), moment.belief
-        height, width = self._map.image.shape[:2]
-        part = frame[self._top :, self._left :][:height, :width]
-        canvas = replace(self._map, image=part)
-        self._extend(moment)
-        for way in self._trail:
-            canvas.lines(way[None], COLOURS[UNIQUE], 2)
-        for ends in self._carried:
-            _dashed(canvas, ends)
+        belief = moment.belief
+        if moment.pose is not None:
+            for last in self._last:
+                ends = np.stack((last.belief.poses[0, :2], belief.poses[0, :2]))
+                _lay_way(self._map_of(self._sheet), last, moment, ends)
+            self._last = [moment]
+        frame = self._sheet.copy()
+        canvas = self._map_of(frame)
         if scan is not None and len(belief.poses):
             base = Pose2D(*belief.poses[0])
             at = base if scan.T_base_laser is None else compose(base, scan.T_base_laser)
@@ -303,19 +298,10 @@ class Video:
         frame[-len(line) :, : line.shape[1]] = line
         self._writer.write(frame)
 
-    def _extend(self, moment: Moment) -> None:
-        """Add the pose of a moment to the trail, if it is unique."""
-        if moment.pose is None:
-            return
-        xy, last, self._last = moment.belief.poses[:1, :2], self._last, moment
-        ends = xy if last is None else np.concatenate((self._trail[-1][-1:], xy))
-        far = float(np.hypot(*(ends[-1] - ends[0])))
-        if last is not None and last.index == moment.index - 1 and far < _STEP:
-            self._trail[-1] = np.concatenate((self._trail[-1], xy))
-            return
-        self._trail.append(xy)
-        if last is not None and far > _no_driving(last, moment):
-            self._carried.append(ends)
+    def _map_of(self, frame: Image) -> Picture:
+        """The part of a frame that is the map, to draw in."""
+        height, width = self._map.image.shape[:2]
+        return replace(self._map, image=frame[self._top :, self._left :][:height, :width])
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the file."""
