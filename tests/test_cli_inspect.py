@@ -187,11 +187,13 @@ def test_each_disturbance_is_named(shared: Path, tmp_path: Path, what: str, name
 
 
 def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> None:
-    scans = turned(math.pi, 2)(recorded(shared, next(iter(LOGS))))
-    named = tuple(replace(scan, laser="ab"[k % 2]) for k, scan in enumerate(scans.scans))
-    imgloc.save_scans(tmp_path / "log.npz", replace(scans, scans=named))
-    run = call("inspect", tmp_path / "log.npz", "--json", "--no-cache")
-    assert rows(run.out)[-1]["next"].startswith("imgloc track")
+    right = recorded(shared, next(iter(LOGS)))
+    for scans, found in ((right, []), (turned(math.pi, 2)(right), ["two-lasers"])):
+        named = tuple(replace(scan, laser="ab"[k % 2]) for k, scan in enumerate(scans.scans))
+        imgloc.save_scans(tmp_path / "log.npz", replace(scans, scans=named), force=True)
+        run = call("inspect", tmp_path / "log.npz", "--json", "--no-cache")
+        assert codes(run) == found
+        assert rows(run.out)[-1]["next"].startswith("imgloc track")
 
 
 def text_of(scans: ScanSet, robot: bool = True) -> list[str]:

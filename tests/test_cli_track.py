@@ -128,7 +128,7 @@ def test_the_errors_against_a_true_trajectory_are_those_of_evo(
     for k in range(len(P) - 1):  # evo: the error of each step, in SE(2)
         rpe.append(np.hypot(*(inv(inv(Q[k]) @ Q[k + 1]) @ (inv(P[k]) @ P[k + 1]))[:2, 2]))
     for name, errors in (("APE", ape), ("RPE", np.array(rpe))):
-        said = re.search(rf"{name} .*?rmse ([\d.]+), mean ([\d.]+), max ([\d.]+) m", run.err)
+        said = re.search(rf"{name} .*?rmse ([\d.]+) m, mean ([\d.]+) m, max ([\d.]+) m", run.err)
         expected = np.sqrt(np.mean(errors**2)), errors.mean(), errors.max()
         assert [float(word) for word in said.groups()] == pytest.approx(expected, abs=6e-4)
     with_truth, without = (read_image(f / "a.png").pixels.shape for f in (tmp_path, tracked[0]))

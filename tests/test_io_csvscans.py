@@ -77,6 +77,11 @@ def exported(kind: str) -> str:
         return table(["", "timestamp", *FIELDS, name, "intensities"], rows)
     if kind == "angles first, time first":
         return table(["", *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+    if kind == "angles first, a number above the time":
+        return table([0, *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+    if kind == "time last":
+        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+        return said + table([], [[*RANGES[k], t] for k, t in enumerate(STAMPS)])
     if kind == "angles first in degrees":
         return table(["time", *np.rad2deg(ANGLES).round(4)],
                      [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])  # fmt: skip
@@ -121,7 +126,8 @@ KINDS = [
     "rostopic -p", "rostopic -p of simulated time", "ros2 --csv", "ros2 --csv with intensities",
     "ros2 --csv without a frame", "lists in cells", "lists in cells, as tuples",
     "lists in cells, as arrays", "lists in cells, of NumPy", "bagpy", "plotjuggler", "pandas",
-    "angles first, time first", "angles first in degrees",
+    "angles first, time first", "angles first in degrees", "time last",
+    "angles first, a number above the time",
     "angles down", "angles down by name", "a reading a line", "a reading a line by semicolons",
     "a reading a line without names", "blanks", "tabs", "time first", "savetxt",
 ]  # fmt: skip
@@ -152,7 +158,7 @@ def test_a_table_of_somebody_is_read(tmp_path: Path, kind: str) -> None:
 def test_what_is_guessed_of_a_table_is_said(tmp_path: Path, caplog, monkeypatch) -> None:
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
     loaded(tmp_path, exported("time first"))
-    assert "the first column rises from line to line: it is taken for the time" in caplog.text
+    assert "column 1 is taken for the time, not for ranges" in caplog.text
     degrees = [[math.degrees(a), r] for a, r in zip(ANGLES, RANGES[0], strict=True)]
     (scan,) = loaded(tmp_path, table([], degrees)).scans
     np.testing.assert_allclose(scan.angles, ANGLES)
@@ -163,6 +169,8 @@ def test_ranges_that_rise_are_no_angles_and_no_time(tmp_path: Path) -> None:
     said = "# angle_min=-1, angle_max=1\n"
     rising = np.linspace(1, 2, RAYS) + np.arange(4)[:, None]
     assert loaded(tmp_path, said + table([], rising.tolist()))[0].ranges[-1] == 2
+    smooth = np.stack([[1, 1.02, 1.05], [1.1, 1.04, 1], [1.2, 1.1, 1.3], [1.3, 1.31, 1.2]])
+    assert len(loaded(tmp_path, said + table([], smooth.tolist()))[0].ranges) == 3
     few = [[3.1, 5, 6], [3.2, 4, 7]]
     assert len(loaded(tmp_path, said + table([], few))[0].ranges) == 3
 

@@ -76,7 +76,7 @@ def test_an_address_is_read_as_the_file_that_it_names(form: str, address: str, t
     poses = [json.loads(line)["pose"]["x"] for line in run.out.splitlines()]
     there_too = call("localize", there / "a.yaml", there / "a.npz", "--json").out.splitlines()
     np.testing.assert_array_equal(poses, [json.loads(line)["pose"]["x"] for line in there_too])
-    assert scans in call("inspect", scans).out
+    assert f"next        imgloc localize {a_map} {scans} --" in call("inspect", a_map, scans).out
 
 
 def test_a_list_names_files_beside_it_and_elsewhere(

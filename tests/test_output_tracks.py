@@ -1,13 +1,14 @@
 """Pictures of tracks: where a robot was carried, a dashed line leads from one way to the next."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
-from imgloc import OccupancyGrid, Pose2D
+from imgloc import OccupancyGrid, Pose2D, prepare
 from imgloc.filters.belief import UNIQUE, Belief
 from imgloc.filters.follow import Moment
-from imgloc.output.tracks import OFF, draw_track
+from imgloc.output.tracks import OFF, Video, draw_track
 
 
 def moments(ways: list[list[float]]) -> list[Moment]:
@@ -36,3 +37,11 @@ def test_a_kidnapping_is_a_dashed_line_from_way_to_way() -> None:
     assert not (driven == OFF).all(axis=2).any()
     missed = [m if k < 4 else replace(m, metres=m.metres + 5.5) for k, m in enumerate(carried)]
     assert not (draw_track(grid, missed).image == OFF).all(axis=2).any()  # it drove there unseen
+    for log, there in ((carried, True), (missed, False)):  # in the video, from then on
+        video, frames = Video(prepare(grid)), list[np.ndarray]()
+        video.close()
+        video._writer = SimpleNamespace(write=frames.append)
+        for moment in log:
+            video.add(moment)
+        off = [bool((frame[: 40 * 8] == OFF).all(axis=2).any()) for frame in frames]
+        assert off == [False] * 4 + [there] * 3

@@ -143,6 +143,8 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers/topics": _warns("{count} lasers: this is {first}; `topic={names}` follows all of "
                                 "them"),
     # Tried by laying scans over each other, as the odometry moved the sensor.
+    "two-lasers/odd": _warns("of {laser} only {share:.0%} of the readings fall on an earlier scan, "
+                             "as the odometry has it: is its place on the robot wrong?"),
     "two-lasers/apart": _warns("{count} lasers: this is {first}; `topic` picks one of {names}"),
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "
@@ -188,7 +190,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
                     "took them to be {less:.2f} m thinner on each side, and each piece of them to "
                     "stand {off:.2f} m off. On such a map one scan is rarely enough. imgloc track "
                     "finds the robot over some metres; a map of the robot's own scans gives surer "
-                    "poses", "", "thick walls: imgloc track"),
+                    "poses", "", "the walls are drawn thick: imgloc track"),
     "bent": _wrong("{fits} this map far better with {found}. " + _ONCE_FOR_ALL, "",
                    "fits far better with {brief}: imgloc calibrate"),
     "bent/walls": _wrong("most scans fit this map far better with {found}, so imgloc allowed for "

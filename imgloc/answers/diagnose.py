@@ -299,7 +299,7 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Cause]:
     >>> bent(said[1:], Shared(), 0.05), bent(said, Shared(1.05), 0.05)
     ([], [])
     >>> bent([("ambiguous", Evidence(thinner=0.1, bent=0.1))], Shared(), 0.1)[0].short
-    'thick walls: imgloc track'
+    'the walls are drawn thick: imgloc track'
     """
     count, placed = len(said), [evidence for verdict, evidence in said if verdict in SURE]
     scales = [e.scale for e in placed if e.scale != known.scale]

@@ -25,6 +25,7 @@ from imgloc.answers.scanmotion import (
     Agreement,
     Way,
     agreement,
+    odd_laser,
     overlap,
     straightening,
 )
@@ -420,7 +421,9 @@ def _about_motion(
     if {"units", "odometry-units", "few"} & {finding.code for finding in findings}:
         return None
     found: Agreement = agreement(scans, path)
-    if found.two_lasers:
+    if len(scans.lasers) > 1 and (odd := odd_laser(scans, path)) is not None:
+        _add(findings, "two-lasers/odd", laser=odd[0], share=odd[1])
+    elif found.two_lasers:
         _add(findings, "two-lasers/moved")
     elif found.best is not None:
         findings.append(_undone(found.best, scans, given))

@@ -63,7 +63,6 @@ class Agreement:
 
     share: float  #: NaN if the robot does not move enough
     best: Way | None = None  #: what makes them agree, if they do not
-    best_share: float = math.nan
     two_lasers: bool = False  #: whether every other scan agrees with its like alone
 
 
@@ -83,7 +82,21 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
         share = _share(scans.scans.__getitem__, odom, pairs, way)
         if share > most * (_TWO if way.then and best else 1):
             best, most = way, share
-    return Agreement(here, best, most if best else math.nan)
+    return Agreement(here, best)
+
+
+def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float] | None:
+    """The one of several lasers that disagrees with poses (N, 3) of the robot, and its share."""
+    shares = dict[str, float]()
+    for name in scans.lasers:
+        k = [k for k, scan in enumerate(scans.scans) if scan.laser == name]
+        own, path = scans.take(k), odom[k]
+        share = _share(own.scans.__getitem__, path, _pairs(path, own), Way(""))
+        if np.median([np.count_nonzero(scan.valid) for scan in own.scans]) >= _LEAST:
+            shares |= {} if math.isnan(share) else {name: share}
+    worst = min(shares, key=lambda name: shares[name], default="")
+    odd = bool(shares) and shares[worst] < POOR <= max(shares.values())
+    return (worst, shares[worst]) if odd else None
 
 
 def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from imgloc.cli import options as opt
 from imgloc.cli.command import Typed
 from imgloc.cli.console import LOG, emit
-from imgloc.errors import ConfigError, ScanError, as_options
+from imgloc.errors import ConfigError, MapError, ScanError, as_options
 from imgloc.io.files import display
 from imgloc.options import Logs, MemoryBudget, Mounting, Options
 from imgloc.ranges import declared, option
@@ -75,7 +75,6 @@ def inspect(
 
 def _is_map(path: Path) -> bool:
     """True of a map: an image, a YAML that names one, or a bundled map by its name."""
-    from imgloc.errors import MapError
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
     from imgloc.io.maps import YAML_ENDINGS
     from imgloc.io.mapyaml import image_named
@@ -94,8 +93,10 @@ def _is_map(path: Path) -> bool:
 
 def _is_echo(path: Path) -> bool:
     """Return whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
+    from imgloc.io.text import unmarked
+
     with contextlib.suppress(OSError), path.open("rb") as file:
-        return b"ranges:" in file.read(4096)
+        return b"ranges:" in unmarked(file.read(4096))
     return False
 
 
@@ -109,7 +110,7 @@ def _map(path: Path, how: "MapFiles", desk: "Desk", typed: Typed, *, as_json: bo
     known = {field.flag for field in declared(opt.MapImages)} - {"--allow-lossy"}
     known.add("--memory-budget")
     words = _quoted({flag: words for flag, words in typed.items() if flag in known})
-    command = " ".join(["imgloc map check", shlex.quote(str(path)), *words])
+    command = " ".join(["imgloc map check", _word(path), *words])
     if as_json:
         emit(to_json(answer.row | {"next": command}))
     else:
@@ -164,6 +165,7 @@ class _Look:
     def _topic(self, path: Path, form: str, kinds: "Sequence[Kind]") -> "tuple[Logs, list[Cause]]":
         """The laser that is looked at, and a word about the others."""
         from imgloc.answers.causes import cause
+        from imgloc.answers.logcheck import check_log
         from imgloc.io.kinds import lasers_in
         from imgloc.runs.opening import ScanFiles
 
@@ -174,19 +176,23 @@ class _Look:
         first = next((k.name for k in lasers if k.name in ("/scan", "FLASER")), lasers[0].name)
         if first == "/scan":  # the others are often made of it
             return self.logs, []
-        key = "two-lasers/topics"
+        key, odd = "two-lasers/topics", list["Cause"]()
         try:
-            self.desk.scans(path, ScanFiles(**vars(replace(self.logs, topic=names)), many=True))
+            how = ScanFiles(**vars(replace(self.logs, topic=names)), many=True)
+            every = check_log(self.desk.scans(path, how).scans)
+            odd = [found for found in every.findings if found.code == "two-lasers"]
         except ScanError:  # they are not of one robot, or it is not known where they sit
             key = "two-lasers/apart"
-        found = cause(key, count=len(lasers), first=first, names=names)
-        return replace(self.logs, topic=first), [found]
+        return replace(self.logs, topic=first), [
+            *odd,
+            cause(key, count=len(lasers), first=first, names=names),
+        ]
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
         """The command to go on with: it goes on from the options that were typed."""
         follow = report.can_be_followed and report.facts["scans"] >= _LEAST
         words = ["imgloc", "track" if follow else "localize"]
-        words += ["MAP" if self.map is None else shlex.quote(str(self.map)), shlex.quote(str(path))]
+        words += ["MAP" if self.map is None else _word(self.map), _word(path)]
         words += [] if follow else ["--scans-index", str(report.scan)]
         typed = {flag: one for flag, one in self.typed.items() if flag not in _OWN}
         typed |= {"--topic": ["--topic", logs.topic]} if logs.topic is not None else {}
@@ -198,6 +204,13 @@ class _Look:
         if self.mounting.flipped and "--flipped" in mended:  # it is upright
             del typed["--flipped"], mended["--flipped"]
         return " ".join([*words, *_quoted(typed | mended)])
+
+
+def _word(path: Path) -> str:
+    """What names a file on a command line: a bundled map its name, and a copy its address."""
+    from imgloc.io.maps import named_map
+
+    return shlex.quote(path.stem if named_map(path.stem) == path else display(path))
 
 
 def _quoted(typed: Typed) -> list[str]:

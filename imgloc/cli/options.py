@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from imgloc.cli.command import Given, Without
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, MapError
 from imgloc.options import Count, HeadingStep, MemoryBudget, Reading, Tolerance
 from imgloc.ranges import Option, option
 from imgloc.texts import metres_degrees
@@ -15,7 +15,6 @@ from imgloc.texts import metres_degrees
 
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
-    from imgloc.errors import MapError
     from imgloc.io.bags import BAG_ENDINGS
     from imgloc.io.files import is_there
     from imgloc.io.maps import named_map

@@ -7,7 +7,7 @@ from typing import Annotated
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
 from imgloc.errors import OutputError
-from imgloc.io.files import display, open_regular, write_text_atomic
+from imgloc.io.files import display, open_regular, refuse_existing, write_text_atomic
 from imgloc.ranges import Option, option
 
 Results = Annotated[Path, Option("Folder of the results of imgloc batch.", "DIR")]
@@ -27,7 +27,6 @@ def report(
     DIR/report.html is written anew each time.
     """
     from imgloc.cli import inputs
-    from imgloc.io.files import refuse_existing
     from imgloc.output.report import MARK, render_report
 
     target = folder / "report.html" if out is None else out

@@ -25,8 +25,8 @@ class Deviation:
     >>> found.ape.round(3).tolist(), found.rpe.round(3).tolist()
     ([0.1, 0.1, 0.3], [0.0, 0.2])
     >>> found.words
-    'APE of 3 unique poses: rmse 0.191, mean 0.167, max 0.300 m, rmse 0.00 deg; RPE from pose to \
-pose: rmse 0.141, mean 0.100, max 0.200 m'
+    'APE of 3 unique poses: rmse 0.191 m, mean 0.167 m, max 0.300 m, rmse 0.00 deg; RPE from pose \
+to pose: rmse 0.141 m, mean 0.100 m, max 0.200 m'
     """
 
     ape: FloatArray  #: (N,) distance of each pose from the true one, metres
@@ -45,9 +45,9 @@ pose: rmse 0.141, mean 0.100, max 0.200 m'
                 f"no errors: {found:,} poses are unique and {true:,} true poses are known, but "
                 "never both of one scan"
             )
-        said = f"APE of {len(self.ape):,} unique poses: {_said(self.ape)} m, rmse "
+        said = f"APE of {len(self.ape):,} unique poses: {_said(self.ape)}, rmse "
         said += f"{np.degrees(_rmse(self.turn)):.2f} deg"
-        return said + (f"; RPE from pose to pose: {_said(self.rpe)} m" if len(self.rpe) else "")
+        return said + (f"; RPE from pose to pose: {_said(self.rpe)}" if len(self.rpe) else "")
 
 
 def deviation(poses: FloatArray, truth: FloatArray) -> Deviation:
@@ -93,7 +93,7 @@ def at_stamps(stamps: FloatArray, known: FloatArray, poses: FloatArray) -> Float
 
 
 def _said(errors: FloatArray) -> str:
-    return f"rmse {_rmse(errors):.3f}, mean {errors.mean():.3f}, max {errors.max():.3f}"
+    return f"rmse {_rmse(errors):.3f} m, mean {errors.mean():.3f} m, max {errors.max():.3f} m"
 
 
 def _rmse(errors: FloatArray) -> float:

@@ -19,7 +19,7 @@ from imgloc.numbers import number
 from imgloc.options import Options
 from imgloc.pipeline import localize
 
-AGREES, DISAGREES, CANNOT = OPINIONS = ("agrees", "disagrees", "cannot tell")
+AGREES, DISAGREES, CANNOT = ("agrees", "disagrees", "cannot tell")
 _NEAR: tuple[float, float] = number("watch.near")
 _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")

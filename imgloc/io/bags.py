@@ -345,11 +345,10 @@ def _assemble(
             level = [pose is not None for pose in poses]
         if left := len(level) - sum(level):
             lacking = 0 if stated else sum(pose is None for pose in poses)
-            _LOG.warning(
-                "%s: left out %d of %d scans: tf does not tell where the laser was at the time of "
-                "%d, and it was tilted by more than 5 degrees at that of %d",
-                name, left, len(level), lacking, left - lacking,
-            )  # fmt: skip
+            said = {"tf does not tell where the laser was": lacking,
+                    "it was tilted by more than 5 degrees": left - lacking}  # fmt: skip
+            why = ", ".join(f"at {n} {text}" for text, n in said.items() if n)
+            _LOG.warning("%s: left out %d of %d scans: %s", name, left, len(level), why)
     whole: list[Entry] = []
     for k, (where, entry) in enumerate(entries):
         pose, more = poses[k], {} if odom is None else {"odom": odom[k]}

@@ -54,6 +54,7 @@ _ROLES = (
 )  # fmt: skip
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
+_LIKE = 0.1  # median step from a range to the next one, as a share of the range
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
@@ -105,7 +106,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
     elif (angles := _angle_row(body, settings)) is not None:
         lead = len(first) - len(angles)
-        names = [cell.lower() or "t" for cell in body.pop(0)[1][:lead]]
+        names = ["t" if _is_number(cell) else cell.lower() for cell in body.pop(0)[1][:lead]]
         names += [f"ranges{k}" for k in range(len(angles))]
         table.settings = {**settings, "angles": angles}
     elif len(names) != len(first) or any(map(_is_number, names)):
@@ -214,8 +215,9 @@ class _Table:
                 return self._readings({"angle": 0, "range": 1}, [("", 0, 1.0)] * 2, parsed=True)
             if self._turns(fov):
                 return self._columns(0, 1.0)
-        if not {"time", "stamp", "seconds"} & by.keys() and ranges[:1] == [0] and self._rises():
-            by, roles, ranges = {**by, "time": 0}, [("time", 0, 1.0), *roles[1:]], ranges[1:]
+        if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
+            by["time"], ranges = times[0], [i for i in ranges if i not in times]
+            roles = [("time", 0, 1.0)] * len(self.rows[0][1])
         if len(ranges) == 1 and len(self.rows) > 1:
             found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
             how = "its ranges with commas between, or two columns called angle and range"
@@ -226,11 +228,11 @@ class _Table:
                 there = ", ".join(c for c in wanted if c in by)
                 expected = f"expected all of {', '.join(wanted)} or none"
                 raise ScanError(f"{self.name}: columns {there}, {expected}")
-        if fov is not None and not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
-            self.settings["angles"] = spread(len(ranges), fov)
         if not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
-            expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
-            raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
+            if fov is None:
+                expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
+                raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
+            self.settings["angles"] = spread(len(ranges), fov)
         entries = list[Entry]()
         for where, row in self.rows:
             values = row[ranges]
@@ -308,19 +310,23 @@ class _Table:
         ]  # fmt: skip
         return collect(entries, self.name, self.bad)
 
-    def _rises(self) -> bool:
-        """Whether the first column is a time: it rises from line to line, and the next does not."""
-        table = np.array([row[:2] for _, row in self.rows])
-        if len(table) < 2 or table.shape[1] < 2 or np.isnan(table[:, 0]).any():
-            return False
-        with np.errstate(invalid="ignore"):  # from infinite to infinite
-            steps = np.diff(table, axis=0)
-        rises = [bool((s >= 0).all() and 2 * np.count_nonzero(s) > len(s)) for s in steps.T]
-        if not table[0, 0] > _EPOCH and (rises != [True, False] or len(table) < 4):
-            return False
-        text = "the first column rises from line to line: it is taken for the time, not for a range"
-        _LOG.warning("%s: %s", self.name, text, extra={"code": "time-column"})
-        return True
+    def _times(self, ranges: Sequence[int]) -> list[int]:
+        """Which of the columns of ranges hold the time since 1970, else the first one if it rises.
+
+        A range is like the next one of the same line, and a time is not.
+        """
+        table = np.array([row[ranges] for _, row in self.rows])
+        found = (np.isfinite(table) & (table > _EPOCH)).all(axis=0)
+        if not found.any() and ranges[:1] == [0] and min(table.shape) > 1 and len(table) > 3:
+            with np.errstate(invalid="ignore"):  # from infinite to infinite
+                steps, across = np.diff(table[:, :2], axis=0), np.diff(table[:, :2])[:, 0]
+            rises = [bool((s >= 0).all() and 2 * np.count_nonzero(s) > len(s)) for s in steps.T]
+            like = np.median(np.abs(across)) < _LIKE * np.median(table[:, 1])
+            found[0] = rises == [True, False] and not like
+        for i in np.array(ranges)[found]:
+            text = f"column {i + 1} is taken for the time, not for ranges"
+            _LOG.warning("%s: %s", self.name, text, extra={"code": "time-column"})
+        return [int(i) for i in np.array(ranges)[found]]
 
     def _readings(
         self,
@@ -419,7 +425,8 @@ def _angle_row(body: Sequence[Row], settings: Mapping[str, Any]) -> FloatArray |
     if len(body) < 2 or lead > 3 or not all(c and _is_number(c) for c in cells[lead:]):
         return None
     row = np.array([float(cell) for cell in cells[lead:]])
-    return _even_angles(row, settings)
+    angles = _even_angles(row, settings)
+    return angles if lead or angles is not None else _even_angles(row[1:], settings)
 
 
 def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | None:

@@ -65,7 +65,7 @@ _WARNINGS = {
     "may be",
     "scale": "the free space is {free_area:.3g} square metres in all on a map of {wide:.4g} x "
     "{high:.4g} m; is the resolution, {resolution:g} m per cell, right?",
-    "no-free": "no cell is free: nothing can be localized",
+    "no-free": "no cell is free: nothing can be localized; are free_thresh and negate right?",
     "many-greys": "{levels:,} grey levels; {unknown:,} of {cells:,} cells fall between the "
     "thresholds (a resampled, smoothed or probabilistic map?)",
 }

@@ -89,11 +89,12 @@ def draw_changes(changes: Changes, title: str = "") -> Picture:
         colour = GONE if piece.kind == "gone" else NEW
         canvas.lines((ring * (0.5 + 0.7 * piece.length) + (at.x, at.y))[None], colour, 2)
     kinds = [piece.kind for piece in changes.pieces]
-    share, gone, new = changes.gone_share, kinds.count("gone"), kinds.count("new")
+    share = changes.gone_share
+    gone, new = (f"{k}, {(n := kinds.count(k))} place{'s' * (n != 1)}" for k in ("gone", "new"))
     walls = "" if np.isnan(share) else f": {100 * share:.1f} % of the walls seen"
     entries = [
-        (GONE, AREA, f"gone, {gone} places{walls}"),
-        (NEW, AREA, f"new, {new} places: {changes.new_m2:.1f} m2"),
+        (GONE, AREA, gone + walls),
+        (NEW, AREA, f"{new}: {changes.new_m2:.1f} m2"),
         (INK, AREA, "wall that scans have seen"),
         (_UNSEEN, AREA, "wall that no scan has seen"),
     ]

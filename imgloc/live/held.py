@@ -22,9 +22,9 @@ ID_BYTES = 16  #: of an id
 
 
 class Held(Generic[T]):
-    """Things by id, `most` at a time, of `weight` together; all methods are safe in threads.
+    """A cache by id, bounded by count and weight; all methods are safe in threads.
 
-    What is `used` does not have to make room.
+    What is `used` is not dropped; else what was not asked for longest is.
     """
 
     def __init__(

@@ -27,6 +27,7 @@ from imgloc.output.canvas import (
     SHADE,
     TRUTH,
     Colour,
+    Image,
     Picture,
     building,
     enlarged,
@@ -118,13 +119,8 @@ def draw_track(
     sure = [(m, xy) for m, xy in zip(guessed, at, strict=True) if m.pose is not None]
     carried_off = list[float]()
     for (m, xy), (n, next_xy) in itertools.pairwise(sure):
-        far = float(np.hypot(*(next_xy - xy)))
-        if n.index == m.index + 1 and far < _STEP:
-            canvas.lines(np.stack((xy, next_xy))[None], COLOURS[UNIQUE], 2)
-        elif far > 2 * (n.metres - m.metres) + _CARRIED:
+        if far := _lay_way(canvas, m, n, np.stack((xy, next_xy))):
             carried_off.append(far)
-            dashes = np.linspace(xy, next_xy, 2 * max(2, round(far * canvas.px_per_m / 16)))
-            canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
     begin = moments[0].stamp if moments else math.nan
     marks, labels = _marks(canvas, sure, grid.origin.theta, begin)
     verdicts = [m.belief.verdict for m in moments]
@@ -144,6 +140,18 @@ def draw_track(
     if found is not None and len(found.ape) > 1:
         picture = mosaic([picture, _curve(moments, found, picture.image.shape[1])], columns=1)
     return picture
+
+
+def _lay_way(canvas: Picture, before: Moment, after: Moment, ends: FloatArray) -> float:
+    """Draw the way between two unique poses (2, 2); the metres that it was carried, or 0."""
+    far = float(np.hypot(*(ends[1] - ends[0])))
+    if after.index == before.index + 1 and far < _STEP:
+        canvas.lines(ends[None], COLOURS[UNIQUE], 2)
+    elif far > 2 * (after.metres - before.metres) + _CARRIED:
+        dashes = np.linspace(ends[0], ends[1], 2 * max(2, round(far * canvas.px_per_m / 16)))
+        canvas.lines(dashes.reshape(-1, 2, 2), OFF, 2)
+        return far
+    return 0.0
 
 
 def _marks(
@@ -247,6 +255,7 @@ class Video:
         entries: list[Entry] = [(colour, ROBOT, name) for name, colour in COLOURS.items()]
         entries += [(faded(COLOURS[AMBIGUOUS], 0.4), ROBOT, "other places, paler if less likely")]
         entries += [(SCAN, DOT, "scan"), (COLOURS[UNIQUE], LINE, "way")]
+        entries.append((OFF, DASHED, "carried off"))
         sheet = framed(self._map, grid.origin, title, entries)
         # Where in it the upper left pixel of the map is.
         upper = np.array([(self._map.box[0, 0], self._map.box[1, 1])])
@@ -256,8 +265,7 @@ class Video:
         self._words = figure.text(16 / width, 0.4, "", size=10, color=ink(INK))
         around = ((0, 28 + height % 2), (0, width % 2), (0, 0))
         self._sheet = np.pad(sheet.image, around, constant_values=255)
-        self._trail, self._begin = list[FloatArray](), math.nan
-        self._last: int | None = None
+        self._begin, self._last = math.nan, list[Moment]()  # the last unique one
         handle, self._path = tempfile.mkstemp(suffix=ending)
         os.close(handle)
         fourcc = cv2.VideoWriter.fourcc(*_CODECS[ending])
@@ -268,17 +276,18 @@ class Video:
         """Add the frame of a moment, with its scan at the best place."""
         if math.isnan(self._begin):
             self._begin = moment.stamp
-        frame, belief = self._sheet.copy(), moment.belief
-        height, width = self._map.image.shape[:2]
-        part = frame[self._top :, self._left :][:height, :width]
-        canvas = replace(self._map, image=part)
-        for way in self._trail:
-            canvas.lines(way[None], COLOURS[UNIQUE], 2)
+        belief = moment.belief
+        if moment.pose is not None:
+            for last in self._last:
+                ends = np.stack((last.belief.poses[0, :2], belief.poses[0, :2]))
+                _lay_way(self._map_of(self._sheet), last, moment, ends)
+            self._last = [moment]
+        frame = self._sheet.copy()
+        canvas = self._map_of(frame)
         if scan is not None and len(belief.poses):
             base = Pose2D(*belief.poses[0])
             at = base if scan.T_base_laser is None else compose(base, scan.T_base_laser)
             canvas.dots(transform_points(at, scan_xy(scan)[scan.valid]), SCAN, 1.5)
-        self._extend(moment)
         _draw_belief(canvas, belief)
         about = f"{moment.stamp - self._begin:.1f} s, " if np.isfinite(moment.stamp) else ""
         others = int(np.count_nonzero(belief.mass[1:] >= _DRAWN))
@@ -289,17 +298,10 @@ class Video:
         frame[-len(line) :, : line.shape[1]] = line
         self._writer.write(frame)
 
-    def _extend(self, moment: Moment) -> None:
-        """Add the pose of a moment to the trail, if it is unique."""
-        if moment.pose is None:
-            self._last = None
-            return
-        xy = moment.belief.poses[:1, :2]
-        if self._last == moment.index - 1 and np.hypot(*(xy[0] - self._trail[-1][-1])) < _STEP:
-            self._trail[-1] = np.concatenate((self._trail[-1], xy))
-        else:
-            self._trail.append(xy)
-        self._last = moment.index
+    def _map_of(self, frame: Image) -> Picture:
+        """The part of a frame that is the map, to draw in."""
+        height, width = self._map.image.shape[:2]
+        return replace(self._map, image=frame[self._top :, self._left :][:height, :width])
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the file."""

@@ -137,13 +137,13 @@ class Locating:
         return replace(self, taken=replace(taken, scans=scans))
 
     def doubts(self, scans: ScanSet, said: Said) -> list[Cause]:
-        """Likely faults of scans of which this was `said`."""
+        """Likely faults of scans, by their verdicts `said`."""
         if not self._tries:
             return []
         return doubts(self.features, scans, said, self.options, self._given)
 
     def mirrored(self, scans: ScanSet, said: Said) -> Cause | None:
-        """The cause if scans of which this was `said`, and which do not fit, do so mirrored."""
+        """The cause if scans that do not fit, by their verdicts `said`, do so mirrored."""
         if not self._tries:
             return None
         return mirrored(self.features, scans, said, self.options, self._given)

@@ -1,4 +1,4 @@
-"""Scans of a laser that is not there: random poses, cast rays, noise.
+"""Scans of a simulated laser: random poses, cast rays, noise.
 
 A scan must not know the cells of the map in which it is to be located: rays are cast on a
 much finer image than the map, :func:`refine_grid` of it or a world's polygons rendered at 1 cm.

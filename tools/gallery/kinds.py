@@ -29,12 +29,16 @@ def picture() -> Picture:
     walls[40:44, 40:60] = True
     older = OccupancyGrid(walls, grid.free & ~walls, grid.resolution, grid.origin)
     kinds = [draw(features, what=what) for what in SUBJECTS]
-    kinds.append(draw(grid, likelihood(features, scans[1], "ght-v")))
+    kinds += [draw(grid, likelihood(features, scans[1], name)) for name in ("ght-v", "cbml")]
     kinds.append(draw(grid, localize(features, scans[1]), scans[1]))
     kinds.append(atlas.picture())
     kinds.append(draw_alignment(grid, older, align_maps(grid, older)))
     kinds.append(draw_changes(map_changes(older, scans.scans, scans.poses)))
-    kinds.append(draw_log("a log", check_log(scans), scans[1]))
-    kinds.append(draw_drive(drive()))
-    small = cv2.resize(mosaic(kinds, columns=3).image, None, None, 0.6, 0.6, cv2.INTER_AREA)
-    return Picture(np.asarray(small, np.uint8))
+    rows = mosaic([_wide(kind, 600) for kind in kinds], columns=3)
+    long = (draw_log("a log", check_log(scans), scans[1]), draw_drive(drive()))
+    return mosaic([rows, *(_wide(kind, 1800) for kind in long)], columns=1)
+
+
+def _wide(picture: Picture, width: int) -> Picture:
+    scale = width / picture.image.shape[1]
+    return Picture(np.asarray(cv2.resize(picture.image, None, None, scale, scale, cv2.INTER_AREA)))

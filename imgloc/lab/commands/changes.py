@@ -6,7 +6,7 @@ from typing import Any
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
-from imgloc.io.files import display
+from imgloc.io.files import display, map_name
 from imgloc.options import Chosen, Logs, Mounting
 from imgloc.ranges import option
 
@@ -48,7 +48,6 @@ def changes(
     import numpy as np
 
     from imgloc.cli import inputs
-    from imgloc.io.files import map_name
     from imgloc.io.maps import save_map
     from imgloc.lab.changes import map_changes
     from imgloc.lab.located import Once, placed
