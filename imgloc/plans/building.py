@@ -346,7 +346,7 @@ def _as_grid(
     corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
     stands = None
     if movable is not None and movable.any():  # a line of one pixel takes a cell that it crosses
-        stands = np.pad((free & (masks.coarser(movable, parts) * parts > 0.75))[rows, columns], pad)
+        stands = np.pad((free & (masks.coarser(movable, parts) * parts > 0.5))[rows, columns], pad)
     return OccupancyGrid(
         np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner, stands
     )

@@ -50,7 +50,8 @@ _STEMS: dict[str, str] = {
     "thing": (
         "furn arred mobil möbel moebel mobel meubl mueble мебел 家具 equip attrezz sanit wc eq "
         "kitchen küche cucina fixture appliance chair table sofa bed desk plant veget tree car "
-        "people table toilet bath sink 洁具 卫生 设备 сантех einricht inventar"
+        "people table toilet bath sink 洁具 卫生 设备 сантех einricht inventar "
+        "kalust έπιπλ επιπλ أثاث ריהוט"
     ),
     "note": (
         "dim dims quot cota cotas bemas maß text txt scritt anno annot title titol cartig stempel "
@@ -61,13 +62,14 @@ _STEMS: dict[str, str] = {
     ),
     "stairs": "stair scala scale trep trap escal scar comunic лестн 楼梯 階段 schod ramp lift elev",
     "window": "win wind window winow fenster fenetr fenêtr finestr vetrat ventan janel окн 窗 窓 "
-    "okn glaz glas glass raam fönst vindu vindue jendela curtain",
+    "okn glaz glas glass raam fönst vindu vindue jendela curtain ikkun pencere fereast παράθ παραθ "
+    "نافذ نوافذ חלון",
     "door": "door port porte porta türe tür tuer puert двер 门 門 扉 drzw dveř dver kapı deur dør "
-    "dörr ovi pintu usci",
+    "dörr ovi pintu usci πόρτ πορτ θύρ θυρ باب أبواب דלת",
     "wall": "wall mur mure murs muro muratur wand wänd waende maue paret pared tabiq "
     "alvenar стен перег 墙 壁 ścian scian sten stěn vegg vägg væg seinä duvar dind cloison partit "
     "gips drywall plaster cartong column pilast pilar pillar stütz stuetz poteau колон 柱 kolom "
-    "concret beton struct tragw ziegel brick",
+    "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות",
 }
 _WORDS = re.compile(r"[^\W\d_]+|\.com")
 
@@ -319,7 +321,9 @@ def _floors_of(
         )
         walls = pair[0] | pair[1]
     taken = masks.coarser(walls | shut, parts) > 0
-    labels, stats = masks.pieces(masks.grown(taken, max(1, round(building.GAPS[0] / cell))))
+    # Without a known door no leaf joins the walls beside it.
+    near = building.GAPS[0 if leaves else 1] / cell
+    labels, stats = masks.pieces(masks.grown(taken, max(1, round(near))))
     floors = list[Floor]()
     spans = masks.spans(stats)
     for k in np.argsort(-spans, kind="stable").tolist():
@@ -381,7 +385,8 @@ def _map_of(
     inside = floor.inside[rows, columns]
     walls, shut = floor.walls[fine], floor.shut[fine]
     kinds = np.zeros(sheet.shape, np.uint8)
-    for role, kind in _KIND.items():
+    # Where no name tells furniture, a line that is no wall may be some.
+    for role, kind in (_KIND | {"": Kind.SYMBOL if floor.guessed else Kind.LINE}).items():
         kinds[sheet.lines(s for s, r in zip(strokes, roles, strict=True) if r == role)] = kind
     kinds = kinds[fine]
     kinds[(kinds > 0) & ~masks.grown(masks.finer(inside, n), 2)] = Kind.OUTSIDE

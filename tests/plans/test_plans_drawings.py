@@ -210,6 +210,7 @@ def test_layers_without_names_and_layers_that_are_said(tmp_path: Path) -> None:
         ("x$0$墙体", "wall"), ("A-GLAZ", "window"), ("fenêtres", "window"), ("Türen", "door"),
         ("A-DOOR", "door"), ("мебель", "thing"), ("arredi", "thing"), ("quote", "note"),
         ("A-ANNO-DIMS", "note"), ("Treppe", "stairs"), ("0", ""), ("Layer 3", ""),
+        ("ΤΟΙΧΟΙ", "wall"), ("أبواب", "door"), ("Ikkunat", "window"), ("ריהוט", "thing"),
     ],
 )  # fmt: skip
 def test_names_in_several_languages(name: str, role: str) -> None:
