@@ -52,6 +52,10 @@ DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
 _OPEN: float = number("floorplan.open")
 OTHER: float = number("floorplan.other")
 _HOLLOW = 2**0.5 * THICKEST[-1]  # metres: across where two of the thickest walls cross
+_ROW = (
+    "doors", "rooms", "free_area", "free_share", "outside_share", "framed_area", "other_area",
+    "largest_share", "roomless_share", "gaps_share", "gap", "thinnest", "thickest", "inverted",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -144,50 +148,36 @@ class FloorPlan:
     def doubt(self) -> str:
         """Why the map is most likely wrong; empty if nothing says so."""
         missed = "the building was most likely missed"
-        if self.free_share < DOUBT[0]:
-            what = f"{missed}: only {self.free_share:.0%} of the drawing became free"
-        elif self.other_area > OTHER * self.free_area:
-            what = (
-                f"walls enclose another {self.other_area:.0f} m2 elsewhere on the drawing, as a "
-                "second building or floor does; the map has the largest only"
-            )
-        elif self.outside_share > DOUBT[1]:
-            what = f"{missed}: {self.outside_share:.0%} of the ink lies outside of what was found"
-        elif self.framed_area > 0:
-            what = (
-                f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as "
-                "the frame of a sheet does"
-            )
-        elif self.largest_share < _OPEN:
-            what = (
-                "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
-                f"closed: no part without a wall across it has more than {self.largest_share:.0%} "
-                "of the free area"
-            )
-        elif not self.scale[1] and self.roomless_share > DOUBT[3]:
-            what = (
-                "a part of the building was most likely cut off: "
-                f"{self.roomless_share:.0%} of the walls have no room beside them"
-            )
-        elif self.gaps_share > DOUBT[2]:
-            what = (
-                f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
-                f"gaps less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m "
-                "wide without a door, as the two lines of a wall do, its hatching, or furniture"
-            )
-        elif self.lost_doors:
-            what = (
-                "a part of the building was most likely cut off: leaves of doors outside of what "
-                f"was found: {self.lost_doors}"
-            )
-        elif self.guessed:
-            what = (
-                "no name of a layer tells what is a wall, so furniture may be part of walls; "
-                "`walls` names the layers"
-            )
-        else:
-            return ""
-        return (
+        cut = "a part of the building was most likely cut off"
+        signs = (
+            (self.free_share < DOUBT[0],
+             f"{missed}: only {self.free_share:.0%} of the drawing became free"),
+            (self.other_area > OTHER * self.free_area,
+             f"walls enclose another {self.other_area:.0f} m2 elsewhere on the drawing, as a "
+             "second building or floor does; the map has the largest only"),
+            (self.outside_share > DOUBT[1],
+             f"{missed}: {self.outside_share:.0%} of the ink lies outside of what was found"),
+            (self.framed_area > 0,
+             f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as the "
+             "frame of a sheet does"),
+            (self.largest_share < _OPEN,
+             "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
+             f"closed: no part without a wall across it has more than {self.largest_share:.0%} of "
+             "the free area"),
+            (not self.scale[1] and self.roomless_share > DOUBT[3],
+             f"{cut}: {self.roomless_share:.0%} of the walls have no room beside them"),
+            (self.gaps_share > DOUBT[2],
+             f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
+             f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "
+             "without a door, as the two lines of a wall do, its hatching, or furniture"),
+            (self.lost_doors > 0,
+             f"{cut}: leaves of doors outside of what was found: {self.lost_doors}"),
+            (self.guessed,
+             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
+             "names the layers"),
+        )  # fmt: skip
+        what = next((text for sign, text in signs if sign), "")
+        return what and (
             f"{what}. Look at `picture`; a larger `thickest` is for walls drawn as two lines, a "
             "larger `gap` for wide doors; crop frames, titles and legends; is the resolution right?"
         )
@@ -202,23 +192,10 @@ class FloorPlan:
                 "length": self.length,
                 "thickness": {"low": low, "median": median, "high": high},
             },
-            "doors": self.doors,
-            "rooms": self.rooms,
+            **{key: getattr(self, key) for key in _ROW},
             "scale": self.scale[1] or None,
             "removed": [asdict(removed) for removed in self.removed],
-            "free_area": self.free_area,
-            "free_share": self.free_share,
-            "outside_share": self.outside_share,
-            "framed_area": self.framed_area,
-            "other_area": self.other_area,
-            "largest_share": self.largest_share,
-            "roomless_share": self.roomless_share,
-            "gaps_share": self.gaps_share,
             "doubt": self.doubt or None,
-            "gap": self.gap,
-            "thinnest": self.thinnest,
-            "thickest": self.thickest,
-            "inverted": self.inverted,
             "cell": self.grid.resolution,
             "cells": dict(zip(("height", "width"), self.grid.info.shape, strict=True)),
             "origin": plain(self.grid.origin),
@@ -235,8 +212,7 @@ def standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArra
     long = span >= PIECE
     # White specks of a scan cut a line into pieces, some of them short.
     groups, found = masks.pieces(masks.grown(walls, max(1, round(THINNEST / pixel))))
-    own = groups.ravel()[masks.firsts(labels, len(stats))]
-    own[0] = 0
+    own = masks.greatest(groups, labels, walls, len(stats))
     joined = np.zeros(len(found), np.bool_)
     joined[own[long]] = True
     pillar = ~long & (ink > 0.9) & (wide * pixel > SOFT * PEN) & (area < 4 * wide**2)

@@ -229,6 +229,8 @@ def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
             name: "wall" if of[name] & taken else "" if role == "wall" else role
             for name, role in names.items()
         }
+    if not {"wall", "window", ""} & {*names.values()}:  # a program names what its parts are
+        return [""] * len(strokes)
     return [names[s.layer] for s in strokes]
 
 

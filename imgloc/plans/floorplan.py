@@ -577,7 +577,7 @@ def _kinds(
     small = np.maximum(wide, high) <= _LETTER
     small[0] = False
     words, found = masks.pieces(masks.closed(small[labels], 0.2 / pixel))
-    word = words.ravel()[masks.firsts(labels, count)]
+    word = masks.greatest(words, labels, small[labels], count)
     letters = np.bincount(word[small], minlength=len(found))
     span = np.hypot(wide, high)
     kind = np.full(count, Kind.SYMBOL, np.uint8)
