@@ -222,6 +222,8 @@ def test_save_and_load_give_the_same_map(tmp_path: Path) -> None:
     assert again == grid
     np.testing.assert_array_equal(again.furnished.occupied, grid.occupied | grid.movable)
     assert load_map(image, resolution=0.05).movable is None  # as map_server reads it
+    assert check_map(image.with_suffix(".yaml")).movable == pytest.approx(movable.mean())
+    assert check_map(image, resolution=0.05).movable is None
     ros1 = load_map(tmp_path / "a map: #1.yaml", semantics="ros1")
     np.testing.assert_array_equal(ros1.unknown, grid.unknown)
 

@@ -99,6 +99,7 @@ class MapReport:
     occupied_thresh: float
     free_thresh: float
     shares: dict[str, float]  #: of all cells: ``occupied``, ``free``, ``unknown``; they sum to 1
+    movable: float | None  #: share of all cells, free ones, that the YAML names so, if it does
     #: square metres of the ten largest parts of the free space between which one cannot go (by
     #: cells that share a side)
     free_parts: tuple[float, ...]
@@ -170,6 +171,7 @@ def check_map(path: PathLike, **reading: "Unpack[Reading]") -> MapReport:
         height=grid.info.height,
         **as_used,
         shares=shares,
+        movable=None if grid.movable is None else float(grid.movable.mean()),
         free_parts=tuple(float(size) * grid.resolution**2 for size in sizes[:_MOST]),
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
         grey_levels=len(levels),

@@ -333,6 +333,7 @@ def report_text(report: "MapReport") -> str:
     greys = ", ".join(f"{value:g} ({cells:,})" for value, cells in report.greys)
     more = report.grey_levels - len(report.greys)
     parts = ", ".join(f"{area:.1f}" for area in report.free_parts)
+    shares += "" if report.movable is None else f"; movable {percent(report.movable)} of all"
     lines = [
         report.path,
         f"  image       {report.image} ({report.kind})",

@@ -41,20 +41,21 @@ KINDS = (
 PARTS, MOST_PIXELS = (4, 3, 2, 1), 16_000_000  # pixels along a cell, the finest of at most so many
 #: metres of openings in outer walls, that are tried
 GAPS: tuple[float, ...] = number("floorplan.gaps")
-_ENOUGH: float = number("floorplan.enough")
-_APART: float = number("floorplan.apart")
+SOFT: float = number("floorplan.soft")  #: as wide as it is, a line may be with soft edges
+PEN: float = number("floorplan.pen")  #: metres that lines are wide at most
+ENOUGH: float = number("floorplan.enough")
 LEAST: float = number("floorplan.least")  #: square metres inside a building
-_PIECE: float = number("floorplan.piece")
-_CUT: float = number("floorplan.cut")
-_PILLAR: float = number("floorplan.pillar")
-_SPECK: float = number("floorplan.speck")
+PIECE: float = number("floorplan.piece")  #: metres that a wall is long at least
 # Without a doubt: least share of the drawing that is free, greatest share of the ink that is
 # outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
 DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
-_NARROW: float = number("floorplan.narrow")
-_HOLLOW: float = number("floorplan.hollow")
 _OPEN: float = number("floorplan.open")
 OTHER: float = number("floorplan.other")
+_HOLLOW = 2**0.5 * THICKEST[-1]  # metres: across where two of the thickest walls cross
+_ROW = (
+    "doors", "rooms", "free_area", "free_share", "outside_share", "framed_area", "other_area",
+    "largest_share", "roomless_share", "gaps_share", "gap", "thinnest", "thickest", "inverted",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class FloorPlan:
 
         Spaces without a door that are nowhere wider than a wall may be are such gaps, too.
         """
-        free, radius = self.grid.free, _NARROW / 2 / self.grid.resolution
+        free, radius = self.grid.free, THICKEST[0] / 2 / self.grid.resolution
         depth = masks.depth(free)
         wide = distance_transform((depth <= radius).astype(np.uint8)) <= radius + 0.5
         labels, stats = masks.pieces(free, 4)
@@ -147,50 +148,36 @@ class FloorPlan:
     def doubt(self) -> str:
         """Why the map is most likely wrong; empty if nothing says so."""
         missed = "the building was most likely missed"
-        if self.free_share < DOUBT[0]:
-            what = f"{missed}: only {self.free_share:.0%} of the drawing became free"
-        elif self.other_area > OTHER * self.free_area:
-            what = (
-                f"walls enclose another {self.other_area:.0f} m2 elsewhere on the drawing, as a "
-                "second building or floor does; the map has the largest only"
-            )
-        elif self.outside_share > DOUBT[1]:
-            what = f"{missed}: {self.outside_share:.0%} of the ink lies outside of what was found"
-        elif self.framed_area > 0:
-            what = (
-                f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as "
-                "the frame of a sheet does"
-            )
-        elif self.largest_share < _OPEN:
-            what = (
-                "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
-                f"closed: no part without a wall across it has more than {self.largest_share:.0%} "
-                "of the free area"
-            )
-        elif not self.scale[1] and self.roomless_share > DOUBT[3]:
-            what = (
-                "a part of the building was most likely cut off: "
-                f"{self.roomless_share:.0%} of the walls have no room beside them"
-            )
-        elif self.gaps_share > DOUBT[2]:
-            what = (
-                f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
-                f"gaps less than {_NARROW:g} m wide, or into spaces less than {_HOLLOW:g} m wide "
-                "without a door, as the two lines of a wall do, its hatching, or furniture"
-            )
-        elif self.lost_doors:
-            what = (
-                "a part of the building was most likely cut off: leaves of doors outside of what "
-                f"was found: {self.lost_doors}"
-            )
-        elif self.guessed:
-            what = (
-                "no name of a layer tells what is a wall, so furniture may be part of walls; "
-                "`walls` names the layers"
-            )
-        else:
-            return ""
-        return (
+        cut = "a part of the building was most likely cut off"
+        signs = (
+            (self.free_share < DOUBT[0],
+             f"{missed}: only {self.free_share:.0%} of the drawing became free"),
+            (self.other_area > OTHER * self.free_area,
+             f"walls enclose another {self.other_area:.0f} m2 elsewhere on the drawing, as a "
+             "second building or floor does; the map has the largest only"),
+            (self.outside_share > DOUBT[1],
+             f"{missed}: {self.outside_share:.0%} of the ink lies outside of what was found"),
+            (self.framed_area > 0,
+             f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as the "
+             "frame of a sheet does"),
+            (self.largest_share < _OPEN,
+             "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
+             f"closed: no part without a wall across it has more than {self.largest_share:.0%} of "
+             "the free area"),
+            (not self.scale[1] and self.roomless_share > DOUBT[3],
+             f"{cut}: {self.roomless_share:.0%} of the walls have no room beside them"),
+            (self.gaps_share > DOUBT[2],
+             f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
+             f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "
+             "without a door, as the two lines of a wall do, its hatching, or furniture"),
+            (self.lost_doors > 0,
+             f"{cut}: leaves of doors outside of what was found: {self.lost_doors}"),
+            (self.guessed,
+             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
+             "names the layers"),
+        )  # fmt: skip
+        what = next((text for sign, text in signs if sign), "")
+        return what and (
             f"{what}. Look at `picture`; a larger `thickest` is for walls drawn as two lines, a "
             "larger `gap` for wide doors; crop frames, titles and legends; is the resolution right?"
         )
@@ -205,23 +192,10 @@ class FloorPlan:
                 "length": self.length,
                 "thickness": {"low": low, "median": median, "high": high},
             },
-            "doors": self.doors,
-            "rooms": self.rooms,
+            **{key: getattr(self, key) for key in _ROW},
             "scale": self.scale[1] or None,
             "removed": [asdict(removed) for removed in self.removed],
-            "free_area": self.free_area,
-            "free_share": self.free_share,
-            "outside_share": self.outside_share,
-            "framed_area": self.framed_area,
-            "other_area": self.other_area,
-            "largest_share": self.largest_share,
-            "roomless_share": self.roomless_share,
-            "gaps_share": self.gaps_share,
             "doubt": self.doubt or None,
-            "gap": self.gap,
-            "thinnest": self.thinnest,
-            "thickest": self.thickest,
-            "inverted": self.inverted,
             "cell": self.grid.resolution,
             "cells": dict(zip(("height", "width"), self.grid.info.shape, strict=True)),
             "origin": plain(self.grid.origin),
@@ -235,14 +209,13 @@ def standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArra
     span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * pixel
     ink = np.bincount(labels[drawn], minlength=len(stats)) / area
     wide = 2 * masks.greatest(masks.depth(walls), labels, walls, len(stats))
-    long = span >= _PIECE
+    long = span >= PIECE
     # White specks of a scan cut a line into pieces, some of them short.
-    groups, found = masks.pieces(masks.grown(walls, max(1, round(_CUT / 2 / pixel))))
-    own = groups.ravel()[masks.firsts(labels, len(stats))]
-    own[0] = 0
+    groups, found = masks.pieces(masks.grown(walls, max(1, round(THINNEST / pixel))))
+    own = masks.greatest(groups, labels, walls, len(stats))
     joined = np.zeros(len(found), np.bool_)
     joined[own[long]] = True
-    pillar = ~long & (ink > 0.9) & (wide * pixel > _PILLAR) & (area < 4 * wide**2)
+    pillar = ~long & (ink > 0.9) & (wide * pixel > SOFT * PEN) & (area < 4 * wide**2)
     long |= joined[own] & ~pillar
     long[0] = pillar[0] = False
     return long[labels], pillar[labels]
@@ -260,14 +233,14 @@ def inside_of(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArr
     found = [enclosed(taken, g / 2 / cell) for g in gaps]
     # Of all buildings: the paper between two is not what a wider gap is for.
     areas = np.array([np.count_nonzero(cells) for cells in found])
-    # One more: a disc that only just fails to get through a door reaches far into it.
-    k = min(int(np.argmax(areas >= _ENOUGH * areas.max())) + 1, len(found) - 1)
-    # Buildings that one more leaves apart are apart, however wide the paper between them is.
-    apart = min(int(np.argmax(areas >= _APART * areas.max())) + 1, k)
-    largest = _largest(found[apart], taken)
-    if np.count_nonzero(largest) < _APART * areas[apart]:
-        return largest, gaps[apart]
-    return _largest(found[k], taken), gaps[k]
+    k = int(np.argmax(areas >= ENOUGH * areas.max()))
+    largest = _largest(found[k], taken)
+    # One more: a disc that only just fails to get through a door reaches far into it. Buildings
+    # that are apart stay so, however wide the paper between them is.
+    if k + 1 < len(found) and np.count_nonzero(largest) >= ENOUGH * areas[k]:
+        k += 1
+        largest = _largest(found[k], taken)
+    return largest, gaps[k]
 
 
 def _largest(inside: BoolArray, walls: BoolArray) -> BoolArray:
@@ -349,7 +322,7 @@ def _as_grid(
     corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
     stands = None
     if movable is not None and movable.any():  # a line of one pixel takes a cell that it crosses
-        stands = np.pad((free & (masks.coarser(movable, parts) * parts > 0.75))[rows, columns], pad)
+        stands = np.pad((free & (masks.coarser(movable, parts) * parts > 0.5))[rows, columns], pad)
     return OccupancyGrid(
         np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner, stands
     )
@@ -360,7 +333,11 @@ def _counted(kinds: npt.NDArray[np.uint8], swings: int, pixel: float) -> tuple[R
     for k in range(Kind.SWING, len(KINDS)):
         mask = kinds == k
         sizes = masks.pieces(mask)[1][1:, cv2.CC_STAT_AREA]
-        count = swings if k == Kind.SWING else int(np.count_nonzero(sizes > _SPECK / pixel**2))
+        count = (
+            swings
+            if k == Kind.SWING
+            else int(np.count_nonzero(sizes > (THINNEST / 2 / pixel) ** 2))
+        )
         if count:
             out.append(Removed(KINDS[k], count, float(np.count_nonzero(mask)) * pixel**2))
     return tuple(out)

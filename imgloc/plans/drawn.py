@@ -21,6 +21,7 @@ from imgloc.geometry import rotation
 from imgloc.model import BoolArray, FloatArray, IntArray, Pose2D
 from imgloc.plans import building, masks
 from imgloc.plans.building import FloorPlan, Kind
+from imgloc.plans.doors import LEAVES, Door, dense, doors_of
 from imgloc.plans.vectors import NAMES, Drawing, Stroke
 
 _KIND = {
@@ -31,10 +32,6 @@ _KIND = {
     "door": Kind.SWING,
 }
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
-_HANGS = 0.15  # of its width, that a leaf may end beside its hinge or its swing
-_SHARP = np.cos(np.deg2rad(26))  # a larger turn is a corner, and not a part of an arc
-_SWINGS = (55, 185)  # degrees that a door may turn
-_LEAVES = (0.55, 1.3)  # metres that a leaf may be wide
 _SIZES = (3.0, 1000.0)  # metres that a floor may be long
 _ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
 _APART = 10.0  # metres between two drawings in one file, at least
@@ -53,7 +50,8 @@ _STEMS: dict[str, str] = {
     "thing": (
         "furn arred mobil möbel moebel mobel meubl mueble мебел 家具 equip attrezz sanit wc eq "
         "kitchen küche cucina fixture appliance chair table sofa bed desk plant veget tree car "
-        "people table toilet bath sink 洁具 卫生 设备 сантех einricht inventar"
+        "people table toilet bath sink 洁具 卫生 设备 сантех einricht inventar "
+        "kalust έπιπλ επιπλ أثاث ריהוט"
     ),
     "note": (
         "dim dims quot cota cotas bemas maß text txt scritt anno annot title titol cartig stempel "
@@ -64,13 +62,14 @@ _STEMS: dict[str, str] = {
     ),
     "stairs": "stair scala scale trep trap escal scar comunic лестн 楼梯 階段 schod ramp lift elev",
     "window": "win wind window winow fenster fenetr fenêtr finestr vetrat ventan janel окн 窗 窓 "
-    "okn glaz glas glass raam fönst vindu vindue jendela curtain",
+    "okn glaz glas glass raam fönst vindu vindue jendela curtain ikkun pencere fereast παράθ παραθ "
+    "نافذ نوافذ חלון",
     "door": "door port porte porta türe tür tuer puert двер 门 門 扉 drzw dveř dver kapı deur dør "
-    "dörr ovi pintu usci",
+    "dörr ovi pintu usci πόρτ πορτ θύρ θυρ باب أبواب דלת",
     "wall": "wall mur mure murs muro muratur wand wänd waende maue paret pared tabiq "
     "alvenar стен перег 墙 壁 ścian scian sten stěn vegg vägg væg seinä duvar dind cloison partit "
     "gips drywall plaster cartong column pilast pilar pillar stütz stuetz poteau колон 柱 kolom "
-    "concret beton struct tragw ziegel brick",
+    "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות",
 }
 _WORDS = re.compile(r"[^\W\d_]+|\.com")
 
@@ -89,118 +88,6 @@ def role_of(name: str) -> str:
     return ""
 
 
-@dataclass(frozen=True, eq=False)
-class Door:
-    """One leaf of a door, in the units of its drawing."""
-
-    hinge: FloatArray  #: (2,)
-    closed: FloatArray  #: (2,) where its free end is when it is closed
-    opened: FloatArray  #: (2,) where it is drawn, or the other end of its swing
-    width: float
-    both: bool  #: a leaf is drawn at both ends
-
-
-def doors_of(strokes: Sequence[Stroke], roles: Sequence[str]) -> list[Door]:
-    """The arcs about one end of a straight line as long as their radius: leaves of doors."""
-    apart = ("thing", "note", "stairs")
-    pairs = [
-        np.stack((s.points[:-1], s.points[1:]), axis=1)
-        for s, role in zip(strokes, roles, strict=True)
-        if role not in apart or len(s.points) < 6
-    ]
-    walls = [s.points for s, role in zip(strokes, roles, strict=True) if role == "wall"]
-    if not pairs:
-        return []
-    both = np.concatenate(pairs)
-    both = np.concatenate((both, both[:, ::-1]))  # from either end
-    tree, length = cKDTree(both[:, 0]), np.hypot(*(both[:, 1] - both[:, 0]).T)
-    found = list[Door]()
-    for stroke, role in zip(strokes, roles, strict=True):
-        if role in ("thing", "stairs") or stroke.filled:
-            continue
-        for centre, radius, tips in _arcs(stroke.points):
-            near = np.array(tree.query_ball_point(centre, _HANGS * radius), int)
-            near = near[abs(length[near] - radius) < _HANGS * radius]
-            leaf = [
-                bool((np.hypot(*(both[near, 1] - tip).T) < _HANGS * radius).any()) for tip in tips
-            ]
-            twice = (
-                np.hypot(*(d.hinge - centre)) < 0.3 * radius
-                and abs(d.width - radius) < 0.3 * radius
-                for d in found
-            )
-            if (any(leaf) or role == "door") and not any(twice):
-                opened = 0 if leaf[0] or not leaf[1] else 1
-                found.append(Door(centre, tips[1 - opened], tips[opened], radius, all(leaf)))
-    return _turned(found, walls)
-
-
-def _turned(doors: list[Door], walls: list[FloatArray]) -> list[Door]:
-    """The same, closed where a wall, or another leaf, goes on: a leaf may be drawn at both ends."""
-    if not walls:
-        return doors
-    some = np.concatenate(
-        [_dense(w, np.median([d.width for d in doors] or [1]) / 20) for w in walls]
-    )
-    tree = cKDTree(some)
-    out = []
-    for d in doors:
-        ends = d.closed, d.opened
-        beyond = [end + 0.1 * (end - d.hinge) for end in ends]
-        away = [float(tree.query(b)[0]) for b in beyond]
-        for k, end in enumerate(ends):
-            tips = [t for o in doors if o is not d for t in (o.closed, o.opened, o.hinge)]
-            if tips and np.hypot(*(np.array(tips) - end).T).min() < _HANGS * d.width:
-                away[k] = min(away[k], 0.1 * d.width)
-        swap = away[1] + (0 if d.both else 0.15 * d.width) < away[0]
-        out.append(replace(d, closed=d.opened, opened=d.closed) if swap else d)
-    return out
-
-
-def _dense(points: FloatArray, step: float) -> FloatArray:
-    """Points along a line, no farther apart than `step`, up to a bound."""
-    long = np.hypot(*np.diff(points, axis=0).T)
-    n = np.minimum(np.ceil(long / step), 2000).astype(int) + 1
-    return np.concatenate(
-        [
-            a + np.linspace(0, 1, k)[:, None] * (b - a)
-            for a, b, k in zip(points[:-1], points[1:], n, strict=True)
-        ]
-    )
-
-
-def _arcs(points: FloatArray) -> list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]:
-    """The parts of a line that are arcs of 55 to 185 degrees: centre, radius and both ends."""
-    out = list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]()
-    step = np.diff(points, axis=0)
-    long = np.hypot(*step.T)
-    step, points = step[long > 0], np.concatenate((points[:1], points[1:][long > 0]))
-    long = long[long > 0]
-    if len(step) < 3:
-        return out
-    unit = step / long[:, None]
-    turn = (unit[1:] * unit[:-1]).sum(axis=1)
-    ratio = long[1:] / long[:-1]
-    cuts = np.flatnonzero((turn < _SHARP) | (ratio > 2.5) | (ratio < 0.4)) + 1
-    for a, b in zip((0, *cuts), (*cuts, len(step)), strict=True):
-        own = points[a : b + 1]
-        if len(own) < 4:
-            continue
-        middle = own.mean(axis=0)
-        to = own - middle
-        (x, y, c), *_ = np.linalg.lstsq(
-            np.column_stack((2 * to, np.ones(len(to)))), (to**2).sum(axis=1), rcond=None
-        )
-        centre, radius = middle + (x, y), float(np.sqrt(max(0.0, c + x * x + y * y)))
-        away = np.hypot(*(own - centre).T)
-        if not radius or np.abs(away - radius).max() > 0.03 * radius:
-            continue
-        angle = np.unwrap(np.arctan2(*(own - centre).T[::-1]))
-        if _SWINGS[0] < abs(np.rad2deg(angle[-1] - angle[0])) < _SWINGS[1]:
-            out.append((centre, radius, (own[0], own[-1])))
-    return out
-
-
 def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tuple[float, str]:
     """Metres of a unit of a drawing, and how that was found: from its header, if doors agree."""
     parts = [
@@ -212,7 +99,7 @@ def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tu
 
     def agree(unit: float) -> int:
         fits = _SIZES[0] < span * unit < _SIZES[1]
-        leaves = (widths * unit > _LEAVES[0]) & (widths * unit < _LEAVES[1])
+        leaves = (widths * unit > LEAVES[0]) & (widths * unit < LEAVES[1])
         return fits * int(np.count_nonzero(leaves))
 
     for unit, said in drawing.units:
@@ -296,7 +183,7 @@ def drawing_to_maps(
     roles = _roles(drawing.strokes, walls)
     leaves = doors_of(drawing.strokes, roles)
     unit, said = (resolution, "as given") if resolution else unit_of(drawing, leaves, roles)
-    leaves = [d for d in leaves if _LEAVES[0] < d.width * unit < _LEAVES[1]]
+    leaves = [d for d in leaves if LEAVES[0] < d.width * unit < LEAVES[1]]
     part = _parts_of_doors(drawing.strokes, roles, leaves)
     roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
     best = list[Floor]()
@@ -342,6 +229,8 @@ def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
             name: "wall" if of[name] & taken else "" if role == "wall" else role
             for name, role in names.items()
         }
+    if not {"wall", "window", ""} & {*names.values()}:  # a program names what its parts are
+        return [""] * len(strokes)
     return [names[s.layer] for s in strokes]
 
 
@@ -392,7 +281,7 @@ def _floors(
     thickest: float | None, gap: float | None, *, named: bool,
 ) -> list[Floor]:  # fmt: skip
     """The floors that strokes enclose, the largest first; `named` if all of them are walls."""
-    points = [_dense(s.points * unit, _APART / 2) for s in strokes]
+    points = [dense(s.points * unit, _APART / 2) for s in strokes]
     labels = clusters(np.concatenate(points), _APART)
     of = labels[np.cumsum([0, *(len(p) for p in points[:-1])])]
     counts = np.bincount(of)
@@ -434,7 +323,9 @@ def _floors_of(
         )
         walls = pair[0] | pair[1]
     taken = masks.coarser(walls | shut, parts) > 0
-    labels, stats = masks.pieces(masks.grown(taken, max(1, round(building.GAPS[0] / cell))))
+    # Without a known door no leaf joins the walls beside it.
+    near = building.GAPS[0 if leaves else 1] / cell
+    labels, stats = masks.pieces(masks.grown(taken, max(1, round(near))))
     floors = list[Floor]()
     spans = masks.spans(stats)
     for k in np.argsort(-spans, kind="stable").tolist():
@@ -496,7 +387,8 @@ def _map_of(
     inside = floor.inside[rows, columns]
     walls, shut = floor.walls[fine], floor.shut[fine]
     kinds = np.zeros(sheet.shape, np.uint8)
-    for role, kind in _KIND.items():
+    # Where no name tells furniture, a line that is no wall may be some.
+    for role, kind in (_KIND | {"": Kind.SYMBOL if floor.guessed else Kind.LINE}).items():
         kinds[sheet.lines(s for s, r in zip(strokes, roles, strict=True) if r == role)] = kind
     kinds = kinds[fine]
     kinds[(kinds > 0) & ~masks.grown(masks.finer(inside, n), 2)] = Kind.OUTSIDE

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import map_coordinates
 from skimage.filters import threshold_otsu
 from skimage.morphology import skeletonize
 
@@ -21,59 +22,26 @@ from imgloc.model import BoolArray, Float32Array, FloatArray, Pose2D
 from imgloc.numbers import number
 from imgloc.plans import building, masks
 from imgloc.plans.building import FloorPlan, Kind
+from imgloc.plans.doors import LEAVES, Door, arcs
 
 _BYTES = 60  # of each such pixel, at the peak
 # What a plan looks like; numbers.json says of each what it is.
-_PAPER = number("floorplan.paper")
 _DARKEST = number("floorplan.darkest")
 _CONTRAST = number("floorplan.contrast")
 _FRAMED = number("floorplan.framed")
-_ALONG = number("floorplan.along")
-_BROKEN = number("floorplan.broken")
-_SHUT = number("floorplan.shut")
-_MARGIN = number("floorplan.margin")
-_BORDER = number("floorplan.border")
-_LIGHTER = number("floorplan.lighter")
-_THICKER = number("floorplan.thicker")
-_LENGTH: float = number("floorplan.length")
+_MOST = number("floorplan.most")
 _STRIP: float = number("floorplan.strip")
 _CELLS: int = number("floorplan.cells")
 _LITTLE: float = number("floorplan.little")
-_ROOM: float = number("floorplan.room")
-_STRAIGHT = number("floorplan.straight")
 _FAINT = number("floorplan.faint")
 _LIGHT = np.array(number("floorplan.light"))
-_BOLD = number("floorplan.bold")
-_LINES = number("floorplan.lines")
-_BOLDEST = number("floorplan.boldest")
 _DENSE = number("floorplan.dense")
-_ACROSS = number("floorplan.across")
-_SOFT = number("floorplan.soft")
 _THINNER = number("floorplan.thinner")
-_HATCHED = number("floorplan.hatched")
 _CORNERS = number("floorplan.corners")
 _WINDOW = number("floorplan.window")
 _LETTER = number("floorplan.letter")
-_WORD = number("floorplan.word")
-_LEAF = number("floorplan.leaf")
-_HANGS = number("floorplan.hangs")
-_LEAF_THICK = number("floorplan.leaf_thick")
-_QUARTER = number("floorplan.quarter")
-_HOLE = number("floorplan.hole")
-_TRIALS = number("floorplan.trials")
-_SHADES = number("floorplan.shades")
-_TONES = number("floorplan.tones")
 _FLAT = number("floorplan.flat")
 STEPS = 1 + len(building.THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
-
-
-@dataclass(frozen=True, eq=False)
-class Swing:
-    """The arc of a door: hinge, and the two ends of the leaf, (2,) pixels."""
-
-    hinge: FloatArray
-    ends: tuple[FloatArray, FloatArray]
-    radius: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +61,7 @@ class Enclosed:
     thinnest: float  #: what is thinner was no wall, metres
     walls: BoolArray  #: pixels, without frames and pillars
     pillars: BoolArray  #: pixels
-    swings: list[Swing]
+    swings: list[Door]
     inside: BoolArray  #: cells
     gap: float  #: openings up to so wide count as closed, metres
     frame: BoolArray  #: pixels of frames round the sheet
@@ -174,17 +142,16 @@ def plan_to_map(
     drawn, bold, parts = _sheet(grey, resolution, cell, ink)
     pixel = cell / parts
     pen = _pen(bold, 2 * _LETTER / pixel) * pixel
-    thin = max(thinnest, min(max(_BOLD * pen, _LINES * resolution), _BOLDEST))
-    partition = max(thinnest, _SOFT * resolution)
+    thin = max(thinnest, min(building.SOFT * max(pen, building.SOFT * resolution), building.PEN))
     tried = (thickest,) if thickest is not None else building.THICKEST
     between, frame = _lined(drawn, bold, resolution, tried, thin, parts, pixel, gap, advance)
-    found = _enclosing(drawn, bold, frame, between, thin, partition, parts, pixel, gap, advance)
+    found = _enclosing(drawn, bold, frame, between, thin, parts, pixel, gap, advance)
     inside = masks.finer(found.inside, parts)
     walls = building.touching(found.walls & ~found.frame | found.pillars, inside)
     kinds = _kinds(drawn, walls, inside, between.hatching, found.frame, found.swings, pixel)
     plan = building.finished(
         walls, found.inside, kinds, cell, origin or Pose2D(0, 0),
-        [swing.radius * pixel for swing in found.swings],
+        [swing.width * pixel for swing in found.swings],
         gap=found.gap, thinnest=found.thinnest, thickest=between.thickest, inverted=inverted,
         other_area=_elsewhere(found.walls & ~found.frame, found.inside, cell, found.gap),
     )  # fmt: skip
@@ -196,8 +163,8 @@ def _lined(
     parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
 ) -> tuple[Between, BoolArray]:  # fmt: skip
     """What is between the lines of walls, by the first thickness that encloses enough; frames."""
-    line = max(_pen(drawn, 2 * _LETTER / pixel), _SOFT * resolution / pixel)
-    across = max(0.04, _ACROSS * resolution) / pixel
+    line = max(_pen(drawn, 2 * _LETTER / pixel), building.SOFT * resolution / pixel)
+    across = max(building.THINNEST / 2, 2 * building.SOFT * resolution) / pixel
     least, frame = max(2.0, thin / pixel), np.zeros_like(drawn)
     tried = list[tuple[int, Between]]()
     for most in thickest:
@@ -208,19 +175,19 @@ def _lined(
         frame |= ring
         tried.append((int(np.count_nonzero(inside)), between))
         advance()
-    enough = _THICKER * max(area for area, _ in tried)
+    enough = _MOST * max(area for area, _ in tried)
     between = next(b for area, b in tried if area >= enough)
     return between, frame
 
 
 def _enclosing(
     drawn: BoolArray, bold: BoolArray, frame: BoolArray, between: Between, thin: float,
-    partition: float, parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
+    parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
 ) -> Enclosed:  # fmt: skip
     """The walls that enclose the building, no thinner than needed: `thin` metres if possible."""
     best, best_area = None, building.LEAST / (parts * pixel) ** 2
     for share in _THINNER:
-        walls, pillars, short, swings = _walls(drawn, bold, between, share * thin, partition, pixel)
+        walls, pillars, short, swings = _walls(drawn, bold, between, share * thin, pixel)
         inside, ring, closed = _building(walls & ~frame, parts, pixel, gap)
         frame = frame | ring
         inside, corners = _with_corners(walls & ~frame, short, inside, parts * pixel, closed)
@@ -238,32 +205,19 @@ def _enclosing(
 
 
 def _walls(
-    drawn: BoolArray,
-    bold: BoolArray,
-    between: Between,
-    thinnest: float,
-    partition: float,
-    pixel: float,
-) -> tuple[BoolArray, BoolArray, BoolArray, list[Swing]]:
+    drawn: BoolArray, bold: BoolArray, between: Between, thinnest: float, pixel: float
+) -> tuple[BoolArray, BoolArray, BoolArray, list[Door]]:
     """Walls no thinner than `thinnest`, metres, doors open; pillars; short pieces; door swings.
 
-    Short pieces are too short for a wall, and no pillars. What is no thinner than
-    `partition` is a wall, too, where it is long and joined to another.
+    Short pieces are too short for a wall, and no pillars.
     """
     least = max(2.0, thinnest / pixel)
     solid = masks.opened(bold, least) | between.body
     rough, _ = building.standing(masks.opened(solid, least), drawn, pixel)
     swings = _swings(drawn, rough, pixel)
-    thick, leaf = between.thickest / pixel, _LEAF_THICK / pixel
+    thick, leaf = between.thickest / pixel, building.PEN / pixel
     solid = _without_leaves(solid, between.holes, swings, thick, leaf)
     walls, pillars = building.standing(masks.opened(solid, least), drawn, pixel)
-    if partition < thinnest:
-        finer = masks.opened(bold, max(2.0, partition / pixel))
-        finer = _without_leaves(finer, between.holes, swings, thick, leaf)
-        long, _ = building.standing(finer & ~masks.grown(walls, 1), drawn, pixel)
-        both = walls | (finer & masks.grown(long, 2))
-        labels, stats = masks.pieces(both)
-        walls = masks.met(labels, len(stats), walls)[labels]
     return walls, pillars, masks.opened(solid, least) & ~walls & ~pillars, swings
 
 
@@ -310,7 +264,9 @@ def _evened(
 
     Shadows, and the colours of rooms, are paper: what is wider than any wall.
     """
-    side = max(3, min(round(_PAPER / resolution), min(grey.shape) // 4)) | 1  # odd: see opened
+    side = (
+        max(3, min(round(building.PIECE / resolution), min(grey.shape) // 4)) | 1
+    )  # odd: see opened
     kernel = np.ones((side, side), np.uint8)
     smooth = cv2.medianBlur(grey, 3)
     light, dark = cv2.dilate(smooth, kernel), cv2.erode(smooth, kernel)
@@ -362,17 +318,18 @@ def _between_lines(
 ) -> Between:
     """Walls that are drawn as lines: `line` wide, `across` at most between two spaces, pixels."""
     holes, hatching = _spaces(drawn, thickest / pixel, across, pixel)
-    holes &= ~_furniture(drawn, thickest / pixel, pixel)
     # The lines between two spaces of a wall are in it, and half of the lines along it.
     body = masks.closed(holes, across) & (drawn | holes)
     body = masks.grown(body, round(line / 2)) & (drawn | body)
     # A narrow hatched wall is more ink than paper.
-    dense = masks.opened(drawn | holes, _DENSE * line) & masks.grown(holes, round(_HATCHED / pixel))
+    dense = masks.opened(drawn | holes, _DENSE * line) & masks.grown(
+        holes, round(building.THINNEST / pixel)
+    )
     body |= dense
     if thickest > building.THICKEST[0]:  # so thick are cupboards, too, but outer walls are longer
         labels, stats = masks.pieces(masks.opened(body, building.THICKEST[0] / pixel))
         span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
-        short = span < _LENGTH / pixel
+        short = span < 2 * building.PIECE / pixel
         short[0] = False
         body &= ~masks.grown(short[labels], round(across))
         holes &= body
@@ -399,7 +356,7 @@ def _spaces(
     # What is not belongs to a wall if it is one of many cells between the lines of a hatching.
     little = stats[:, cv2.CC_STAT_AREA] < _LITTLE / pixel**2
     cells = (narrow & ~deep & (little | ~long))[labels]
-    strip, found = masks.pieces(masks.closed(cells, _HATCHED / pixel))
+    strip, found = masks.pieces(masks.closed(cells, building.THINNEST / pixel))
     members = np.zeros(len(found), np.int64)
     first = np.unique(labels[cells], return_index=True)[1]
     np.add.at(members, strip[cells][first], 1)
@@ -450,109 +407,40 @@ def _pen(bold: BoolArray, letter: float) -> float:
     return float(np.median(4 * depth - 2.2))
 
 
-def _furniture(drawn: BoolArray, thick: float, pixel: float) -> BoolArray:
-    """Mask of furniture, filled: it stands alone, is too thick for a wall, and encloses no room."""
-    labels, stats = masks.pieces(drawn)
-    out = np.zeros_like(drawn)
-    for k, (x, y, wide, high, area) in enumerate(stats[1:].tolist(), 1):
-        if not 2 * thick < np.hypot(wide, high) < 6.0 / pixel:
-            continue
-        own = np.pad(labels[y : y + high, x : x + wide] == k, 1).astype(np.uint8)
-        around = own.copy()
-        cv2.floodFill(around, None, (0, 0), 2)
-        filled = around != 2
-        if area > 0.8 * np.count_nonzero(filled) or masks.depth(filled).max() < 0.55 * thick + 1:
-            continue
-        if masks.depth(filled & (own == 0)).max() < _ROOM / 2 / pixel:
-            out[y : y + high, x : x + wide] |= filled[1:-1, 1:-1]
-    return out
-
-
-def _swings(drawn: BoolArray, walls: BoolArray, pixel: float) -> list[Swing]:
-    """The quarter circles among thin lines that hang on a wall and end at one: doors that swing."""
-    rng = np.random.default_rng(0)
+def _swings(drawn: BoolArray, walls: BoolArray, pixel: float) -> list[Door]:
+    """The arcs among thin lines that hang on a wall, with a leaf at an end: doors, in pixels."""
+    step, hangs = building.THINNEST / pixel, building.THICKEST[0] / 2 / pixel
     to_wall, to_ink = masks.depth(~walls), masks.depth(~drawn)
-    labels, stats = masks.pieces(drawn & ~masks.grown(walls, 2))
-    found: list[Swing] = []
-    for k, (x, y, wide, high, _) in enumerate(stats[1:].tolist(), 1):
-        if not 0.7 * _LEAF[0] / pixel < max(wide, high) < 6.0 / pixel:
-            continue
-        own = labels[y : y + high, x : x + wide] == k
-        if to_wall[y : y + high, x : x + wide][own].min() > 0.1 / pixel:
-            continue
-        points = np.asarray(np.argwhere(own)[:, ::-1] + np.array([x, y]), np.float64)
-        while len(points) > 12 and (swing := _arc(points, to_wall, to_ink, pixel, rng)):
-            found.append(swing)
-            away = np.hypot(*(points - swing.hinge).T) - swing.radius
-            points = points[np.abs(away) > 3]
+    thin = (drawn & ~masks.grown(walls, 2)).astype(np.uint8)
+    found = list[Door]()
+    for outline in cv2.findContours(thin, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]:
+        parts = np.array_split(outline[:, 0], max(1, round(len(outline) / step)))
+        points = np.array([part.mean(axis=0) for part in parts])
+        # Twice around: an arc may begin anywhere.
+        for hinge, radius, ends in arcs(np.concatenate((points, points))):
+            # Where it ends at a wall or at a leaf it may be cut off: it is a quarter of a circle.
+            turns = (
+                np.arctan2(*(ends[0] + ends[1] - 2 * hinge)[::-1]) + np.array((-1, 1)) * np.pi / 4
+            )
+            tips = hinge + radius * np.column_stack((np.cos(turns), np.sin(turns)))
+            leaves = hinge + np.linspace(0.1, 0.9, 30)[:, None, None] * (tips - hinge)
+            there = (_at(to_ink, leaves) < 3).mean(axis=0)
+            end = int(there.argmax())
+            fits = LEAVES[0] < radius * pixel < LEAVES[1] and there[end] > 0.8
+            hung = _at(to_wall, hinge[None]).max() < hangs
+            if fits and hung and all(np.hypot(*(d.hinge - hinge)) > radius / 2 for d in found):
+                found.append(Door(hinge, tips[1 - end], tips[end], radius, bool(there.min() > 0.8)))
     return found
 
 
-def _arc(
-    points: FloatArray, to_wall: Float32Array, to_ink: Float32Array, pixel: float,
-    rng: np.random.Generator,
-) -> Swing | None:  # fmt: skip
-    """The best quarter circle through some of the points (N, 2), if it is that of a door."""
-    a, b, d = (points[rng.integers(len(points), size=_TRIALS)] for _ in range(3))
-    # The centre is as far from one of the points as from the two others: two linear equations.
-    u, v = b - a, d - a
-    area = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-    apart = np.abs(area) > 1
-    a, u, v, area = a[apart], u[apart], v[apart], area[apart]
-    uu, vv = (u**2).sum(axis=1) / area, (v**2).sum(axis=1) / area
-    off = np.column_stack((v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu))
-    radius, centre = np.hypot(*off.T), a + off
-    ok = (radius > _LEAF[0] / pixel) & (radius < _LEAF[1] / pixel)
-    ok &= _at(to_wall, centre) < _HANGS / pixel
-    radius, centre = radius[ok], centre[ok]
-    some = points[rng.permutation(len(points))[:_TRIALS]]
-    away = np.hypot(*(some[None] - centre[:, None]).transpose(2, 0, 1)) - radius[:, None]
-    order = np.argsort(-np.count_nonzero(np.abs(away) < 1.5, axis=1), kind="stable")
-    for k in order[:10].tolist():
-        to = points - centre[k]
-        on = to[np.abs(np.hypot(*to.T) - radius[k]) < 2]
-        turn = np.sort(np.arctan2(on[:, 1], on[:, 0]))
-        # The longest way around without a hole.
-        ends = np.flatnonzero(np.diff(turn, append=turn[:1] + 2 * np.pi) > _HOLE)
-        if not len(ends):
-            continue
-        first = turn[(np.roll(ends, 1) + 1) % len(turn)]
-        length = (turn[ends] - first) % (2 * np.pi)
-        n = int(length.argmax())
-        if not _QUARTER[0] < length[n] < _QUARTER[1]:
-            continue
-        middle = first[n] + length[n] / 2
-        # The circle that fits best to its own part: x² + y² = 2 a x + 2 b y + c.
-        own = on[(np.arctan2(on[:, 1], on[:, 0]) - first[n]) % (2 * np.pi) <= length[n]]
-        sides = np.column_stack((2 * own, np.ones(len(own))))
-        (x, y, c), *_ = np.linalg.lstsq(sides, (own**2).sum(axis=1), rcond=None)
-        centre[k], radius[k] = centre[k] + (x, y), np.sqrt(c + x * x + y * y)
-        turns = middle + np.array([-np.pi / 4, np.pi / 4])
-        tips = centre[k] + radius[k] * np.column_stack((np.cos(turns), np.sin(turns)))
-        along = middle + np.linspace(-0.6, 0.6, 25)
-        beside = np.column_stack((np.cos(along), np.sin(along))) * radius[k]
-        if np.mean(_at(to_ink, centre[k] + np.concatenate((0.8 * beside, 1.2 * beside))) < 2) > 0.4:
-            continue  # it is part of something thick
-        leaves = centre[k] + np.linspace(0.1, 0.9, 30)[:, None, None] * (tips - centre[k])
-        drawn = (_at(to_ink, leaves.reshape(-1, 2)) < 3).reshape(30, 2).mean(axis=0)
-        fits = _LEAF[0] < radius[k] * pixel < _LEAF[1]
-        if fits and drawn.max() > 0.8 and _at(to_wall, tips).min() < _HANGS / pixel:
-            return Swing(centre[k], (tips[0], tips[1]), float(radius[k]))
-    return None
-
-
 def _at(image: Float32Array, points: FloatArray) -> Float32Array:
-    """Pixels of an image at points (N, 2); infinite beyond it."""
-    column, row = np.rint(points).astype(np.int64).T
-    height, width = image.shape
-    on = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    out = np.full(len(points), np.inf, np.float32)
-    out[on] = image[row[on], column[on]]
-    return out
+    """Pixels of an image at points (..., 2), or those next to them within it."""
+    out = map_coordinates(image, np.moveaxis(points, -1, 0)[::-1], order=0, mode="nearest")
+    return np.asarray(out, np.float32)
 
 
 def _without_leaves(
-    solid: BoolArray, holes: BoolArray, swings: list[Swing], thick: float, leaf: float
+    solid: BoolArray, holes: BoolArray, swings: list[Door], thick: float, leaf: float
 ) -> BoolArray:
     """Walls without what is drawn across doors: leaves, open or closed, and thresholds."""
     if not swings:
@@ -560,13 +448,13 @@ def _without_leaves(
     across = np.zeros(solid.shape, np.uint8)
     middle = across.copy()
     for swing in swings:
-        for end in swing.ends:
+        for end in (swing.closed, swing.opened):
             for image, ends in ((across, (0.06, 0.97)), (middle, (0.2, 0.8))):
                 p, q = (np.rint(swing.hinge + s * (end - swing.hinge)).astype(int) for s in ends)
                 cv2.line(image, p.tolist(), q.tolist(), 1, max(1, round(leaf)))
     thin = (across > 0) & ~masks.opened(solid, leaf)
     labels, stats = masks.pieces(holes, 4)
-    small = stats[:, cv2.CC_STAT_AREA] < 1.5 * thick * max(swing.radius for swing in swings)
+    small = stats[:, cv2.CC_STAT_AREA] < 1.5 * thick * max(swing.width for swing in swings)
     crossed = masks.met(labels, len(stats), holes & (middle > 0)) & small
     return solid & ~thin & ~crossed[labels]
 
@@ -590,7 +478,7 @@ def _building(
             break
         # The wall of a hall that rooms are joined to is no thinner than theirs.
         joined = np.any(masks.grown(line, 2) & rest)
-        if joined and _width(walls, line, parts) > _LIGHTER * _width(walls, rest, parts):
+        if joined and _width(walls, line, parts) > _MOST * _width(walls, rest, parts):
             break
         frame |= line
         inside, closed = own, gaps
@@ -610,7 +498,7 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     around most others is no rectangle, or is a building: has openings, or walls all along.
     """
     labels, stats = masks.pieces(
-        distance_transform((~taken).astype(np.uint8)) <= _BROKEN / 2 / cell
+        distance_transform((~taken).astype(np.uint8)) <= building.PIECE / 2 / cell
     )
     if len(stats) < 2:
         return None
@@ -618,27 +506,27 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     rows, columns = np.nonzero(ring)
     hull = cv2.convexHull(np.column_stack((columns, rows)).astype(np.int32))
     within = cv2.fillConvexPoly(np.zeros(ring.shape, np.uint8), hull, 1) > 0
-    if np.count_nonzero(within) <= _STRAIGHT * np.prod(cv2.minAreaRect(hull)[1]):
+    if np.count_nonzero(within) <= building.ENOUGH * np.prod(cv2.minAreaRect(hull)[1]):
         return None
     # A hall has doors, and may have a few small rooms.
-    shut = np.count_nonzero(building.enclosed(ring, _SHUT / 2 / cell)) > 0.5 * np.count_nonzero(
-        within
-    )
+    shut = np.count_nonzero(
+        building.enclosed(ring, building.THICKEST[0] / 2 / cell)
+    ) > 0.5 * np.count_nonzero(within)
     middle, depth = skeletonize(ring), masks.depth(within)
-    along = np.count_nonzero(middle & (depth <= 2 * _BROKEN / cell))
-    if len(stats) > 2 and along > _ALONG * np.count_nonzero(middle):
+    along = np.count_nonzero(middle & (depth <= 2 * building.PIECE / cell))
+    if len(stats) > 2 and 2 * along > np.count_nonzero(middle):
         return ring, within, _FRAMED[0 if shut else 1]
     # The building, or a title block near it, is joined to the frame. Paper is along the rest of it.
-    loop = (depth > _MARGIN / cell) & (depth <= _MARGIN / cell + 2)
+    loop = (depth > building.THICKEST[-1] / cell) & (depth <= building.THICKEST[-1] / cell + 2)
     free, found = masks.pieces(loop & ~ring)
     lengths = np.append(0, found[1:, cv2.CC_STAT_AREA])
-    if not shut or lengths.max() < _BORDER * np.count_nonzero(loop):
+    if not shut or 2 * lengths.max() < np.count_nonzero(loop):
         return None
     longest = free == int(np.argmax(lengths))
     to_paper, to_rest = (
         distance_transform((~m).astype(np.uint8)) for m in (longest, loop & ~longest)
     )
-    line = ring & (depth <= _MARGIN / cell) & (to_paper < to_rest)
+    line = ring & (depth <= building.THICKEST[-1] / cell) & (to_paper < to_rest)
     # With what is joined to it, as a title block is; the building is larger.
     labels, stats = masks.pieces(ring & ~line)
     table = masks.met(labels, len(stats), (labels > 0) & (depth <= 3))
@@ -668,14 +556,14 @@ def _elsewhere(walls: BoolArray, inside: BoolArray, cell: float, gap: float) -> 
 
 def _kinds(
     drawn: BoolArray, walls: BoolArray, inside: BoolArray, hatching: BoolArray, frame: BoolArray,
-    swings: list[Swing], pixel: float,
+    swings: list[Door], pixel: float,
 ) -> npt.NDArray[np.uint8]:  # fmt: skip
     """What each pixel was taken for."""
     arcs = np.zeros(drawn.shape, np.uint8)
     for swing in swings:
-        a, b = (np.arctan2(*(end - swing.hinge)[::-1]) for end in swing.ends)
+        a, b = (np.arctan2(*(end - swing.hinge)[::-1]) for end in (swing.closed, swing.opened))
         turns = a + np.linspace(0, 1, 30) * ((b - a + np.pi) % (2 * np.pi) - np.pi)
-        arc = swing.hinge + swing.radius * np.column_stack((np.cos(turns), np.sin(turns)))
+        arc = swing.hinge + swing.width * np.column_stack((np.cos(turns), np.sin(turns)))
         outline = np.rint(np.concatenate(([swing.hinge], arc, [swing.hinge]))).astype(np.int32)
         cv2.polylines(arcs, [outline], False, 1, round(0.12 / pixel))
     rest = drawn & ~masks.grown(walls, 2) & (arcs == 0)
@@ -689,12 +577,12 @@ def _kinds(
     small = np.maximum(wide, high) <= _LETTER
     small[0] = False
     words, found = masks.pieces(masks.closed(small[labels], 0.2 / pixel))
-    word = words.ravel()[masks.firsts(labels, count)]
+    word = masks.greatest(words, labels, small[labels], count)
     letters = np.bincount(word[small], minlength=len(found))
     span = np.hypot(wide, high)
     kind = np.full(count, Kind.SYMBOL, np.uint8)
     kind[(span > 0.8) & (area * pixel**2 < 0.06 * span)] = Kind.LINE
-    kind[small & (letters[word] >= _WORD)] = Kind.TEXT
+    kind[small & (letters[word] > 1)] = Kind.TEXT
     kind[share(masks.grown(hatching, 2)) > 0.4] = Kind.HATCH
     kind[share(masks.grown(inside, 2)) < 0.5] = Kind.OUTSIDE
     kind[share(frame) > 0.5] = Kind.FRAME
@@ -720,18 +608,13 @@ def refuse_recorded(grey: npt.NDArray[np.uint8]) -> None:
         raise MapError("it has one tone only, expected a floor plan with dark walls")
 
 
-def refuse_photo(grey: npt.NDArray[np.uint8]) -> None:
-    """Raise MapError for an image of many tones, which no drawing has on even paper."""
-    flat, left = 0, np.bincount(grey.ravel(), minlength=256)
-    for _ in range(_TONES):
-        tone = int(left.argmax())
-        near = slice(max(0, tone - _SHADES), tone + _SHADES + 1)
-        flat += int(left[near].sum())
-        left[near] = 0
-    if flat < _FLAT * grey.size:
+def refuse_photo(evened: npt.NDArray[np.uint8]) -> None:
+    """Raise MapError for an image that is little paper, once that is even."""
+    share = np.count_nonzero(evened > 255 * building.ENOUGH) / evened.size
+    if share < _FLAT:
         raise MapError(
-            f"only {flat / grey.size:.0%} of it are of a few tones, expected a drawing: a photo? "
-            "Scan the plan, or export it from its CAD program"
+            f"only {share:.0%} of it is light as paper, expected a drawing: a photo? Scan the "
+            "plan, or export it from its CAD program"
         )
 
 

@@ -1,5 +1,7 @@
 """Masks of pixels: how deep, how large, in which pieces, on finer and coarser cells."""
 
+from typing import TypeVar
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -7,6 +9,8 @@ from skimage.morphology import disk
 
 from imgloc.features.distance import distance_transform
 from imgloc.model import BoolArray, Float32Array, IntArray
+
+_T = TypeVar("_T", np.float32, np.int32)
 
 
 def depth(mask: BoolArray) -> Float32Array:
@@ -51,22 +55,11 @@ def met(labels: npt.NDArray[np.int32], count: int, where: BoolArray) -> BoolArra
     return out
 
 
-def firsts(labels: npt.NDArray[np.int32], count: int) -> IntArray:
-    """Where each label comes first in the flattened image, (count,); 0 for one that is not there.
-
-    If nothing lies between the pieces, 0 is not there.
-    """
-    found, at = np.unique(labels, return_index=True)
-    out = np.zeros(count, np.int64)
-    out[found] = at
-    return out
-
-
 def greatest(
-    image: Float32Array, labels: npt.NDArray[np.int32], where: BoolArray, count: int
-) -> Float32Array:
+    image: npt.NDArray[_T], labels: npt.NDArray[np.int32], where: BoolArray, count: int
+) -> npt.NDArray[_T]:
     """The greatest value of each label within a mask, (count,); 0 for one that is not there."""
-    out = np.zeros(count, np.float32)
+    out = np.zeros(count, image.dtype)
     np.maximum.at(out, labels[where], image[where])
     return out
 

@@ -190,6 +190,7 @@ _UNSEEN = {"defs", "clipPath", "mask", "symbol", "pattern", "marker", "script", 
            "foreignObject", "metadata", "filter"}  # fmt: skip
 _SCALE = re.compile(r"(?<![\d:.])1 ?[:/] ?(\d{1,4})(?![\d:])")
 _MM = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72, "m": 1000.0}
+_SHAPE = re.compile("d|r?[xy]|c[xy]|r|[xy][12]|width|height|points")
 _INHERITED = {"fill", "stroke", "stroke-width", "stroke-dasharray", "visibility"}
 _PAGES = 30  # of a PDF
 _WHITE = 0.8  # an area as light hides what is under it, and is none of the building
@@ -266,25 +267,14 @@ def _number(e: Any, key: str) -> float:
 
 def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) -> Iterator[Stroke]:
     """The strokes of one shape of an SVG."""
-    from svgelements import Color
+    import svgelements
 
-    x, y, wide, high, rx, ry = (_number(e, k) for k in ("x", "y", "width", "height", "rx", "ry"))
-    if tag == "path":
-        d = e.get("d", "")
-    elif tag == "line":
-        d = "M{},{}L{},{}".format(*(_number(e, k) for k in ("x1", "y1", "x2", "y2")))
-    elif tag == "rect":
-        d = f"M{x},{y}h{wide}v{high}h{-wide}z"
-    elif tag in ("polyline", "polygon"):
-        d = "M" + e.get("points", "") + ("z" if tag == "polygon" else "")
-    elif tag in ("circle", "ellipse"):
-        x, y, r = (_number(e, k) for k in ("cx", "cy", "r"))
-        rx, ry = (r, r) if tag == "circle" else (rx, ry)
-        d = f"M{x - rx},{y}a{rx},{ry} 0 1 0 {2 * rx},0a{rx},{ry} 0 1 0 {-2 * rx},0"
-    else:
+    kind = {"line": "SimpleLine"}.get(tag, tag.capitalize())
+    if kind not in ("Path", "SimpleLine", "Rect", "Polyline", "Polygon", "Circle", "Ellipse"):
         return
+    shape = getattr(svgelements, kind)({k: v for k, v in e.items() if _SHAPE.fullmatch(k)})
     fill = style.get("fill", "black")
-    tone = None if fill == "none" or fill.startswith("url") else Color(fill)
+    tone = None if fill == "none" or fill.startswith("url") else svgelements.Color(fill)
     filled = tone is not None and tone.red + tone.green + tone.blue < _WHITE * 765
     drawn = style.get("stroke", "none") != "none"
     if not (filled or drawn) or style.get("visibility") == "hidden":
@@ -292,16 +282,16 @@ def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) ->
     width = re.match(r"[\d.]+", style.get("stroke-width", "1"))
     wide = float(width[0]) * abs(matrix.determinant) ** 0.5 if width and drawn else 0.0
     dashed = style.get("stroke-dasharray", "none") not in ("none", "0", "")
-    for points in _ways(d, matrix):
+    for points in _ways(shape, matrix):
         yield Stroke(points, layer, filled, dashed, wide)
 
 
-def _ways(d: str, matrix: Any) -> Iterator[FloatArray]:
-    """The lines of a path as SVG writes it."""
+def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:
+    """The lines of a path as SVG writes it, or of a shape."""
     from svgelements import Close, Line, Move, Path
 
     points = list[Any]()
-    for part in (*(Path(d) * matrix), None):
+    for part in (*abs(Path(d) * matrix), None):
         if part is None or isinstance(part, Move):
             out = np.array([(p.x, p.y) for p in points])
             if _drawn(out):

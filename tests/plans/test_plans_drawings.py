@@ -63,8 +63,9 @@ def svg(path: Path, scale: str = "Scale 1:100") -> Path:
     """Write the floor as an SVG of paper: 10 mm are a metre."""
     shapes = []
     for layer, points in strokes():
-        way = " ".join(f"{20 + 10 * x:g},{80 - 10 * y:g}" for x, y in points)
-        shapes.append(f'<g id="{layer}"><polyline points="{way}"/></g>')
+        way = " ".join(f"{x:g},{y:g}" for x, y in points)
+        to = 'transform="translate(20,80) scale(10,-10)" stroke-width="0.02"'
+        shapes.append(f'<g id="{layer}" {to}><polyline points="{way}"/></g>')
     for (x, y), r, first, last, _ in SWINGS:
         a, b = np.deg2rad([first, last])
         ends = [(20 + 10 * (x + r * np.cos(t)), 80 - 10 * (y + r * np.sin(t))) for t in (a, b)]
@@ -156,6 +157,10 @@ def test_an_svg_and_a_pdf_have_the_scale_that_is_written_on_them(tmp_path: Path,
     assert found.scale[1] == "1:100 as the file states, and 2 doors fit"
     assert found.size == (pytest.approx(10.6, rel=0.01), pytest.approx(4.4, rel=0.01))
     assert (found.rooms, len(found.doors)) == (2, 2)
+    rows, columns = np.nonzero(found.grid.occupied)
+    middle = columns.min() + round(2.5 / 0.05)  # of the outer door, which is below
+    ends = found.grid.occupied[[rows.min() + 2, rows.max() - 2], middle]
+    assert ends.tolist() == [False, True]
     write(path, "no scale")
     with pytest.raises(MapError, match="its scale is unknown"):
         drawing_to_maps(read_drawing(path))
@@ -210,6 +215,7 @@ def test_layers_without_names_and_layers_that_are_said(tmp_path: Path) -> None:
         ("x$0$墙体", "wall"), ("A-GLAZ", "window"), ("fenêtres", "window"), ("Türen", "door"),
         ("A-DOOR", "door"), ("мебель", "thing"), ("arredi", "thing"), ("quote", "note"),
         ("A-ANNO-DIMS", "note"), ("Treppe", "stairs"), ("0", ""), ("Layer 3", ""),
+        ("ΤΟΙΧΟΙ", "wall"), ("أبواب", "door"), ("Ikkunat", "window"), ("ריהוט", "thing"),
     ],
 )  # fmt: skip
 def test_names_in_several_languages(name: str, role: str) -> None:

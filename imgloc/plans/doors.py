@@ -1,0 +1,128 @@
+"""Doors on plans and in drawings: the arc that a leaf swings along, and the leaf."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from imgloc.model import FloatArray
+from imgloc.numbers import number
+from imgloc.plans.vectors import Stroke
+
+_HANGS = 0.15  # of its width, that a leaf may end beside its hinge or its swing
+_SHARP = np.cos(np.deg2rad(26))  # a larger turn is a corner, and not a part of an arc
+_SWINGS = (55, 185)  # degrees that a door may turn
+LEAVES: tuple[float, float] = number("floorplan.leaf")  #: metres that a leaf may be wide
+
+
+@dataclass(frozen=True, eq=False)
+class Door:
+    """One leaf of a door, in the units of its drawing."""
+
+    hinge: FloatArray  #: (2,)
+    closed: FloatArray  #: (2,) where its free end is when it is closed
+    opened: FloatArray  #: (2,) where it is drawn, or the other end of its swing
+    width: float
+    both: bool  #: a leaf is drawn at both ends
+
+
+def doors_of(strokes: Sequence[Stroke], roles: Sequence[str]) -> list[Door]:
+    """The arcs about one end of a straight line as long as their radius: leaves of doors."""
+    apart = ("thing", "note", "stairs")
+    pairs = [
+        np.stack((s.points[:-1], s.points[1:]), axis=1)
+        for s, role in zip(strokes, roles, strict=True)
+        if role not in apart or len(s.points) < 6
+    ]
+    walls = [s.points for s, role in zip(strokes, roles, strict=True) if role == "wall"]
+    if not pairs:
+        return []
+    both = np.concatenate(pairs)
+    both = np.concatenate((both, both[:, ::-1]))  # from either end
+    tree, length = cKDTree(both[:, 0]), np.hypot(*(both[:, 1] - both[:, 0]).T)
+    found = list[Door]()
+    for stroke, role in zip(strokes, roles, strict=True):
+        if role in ("thing", "stairs") or stroke.filled:
+            continue
+        for centre, radius, tips in arcs(stroke.points):
+            near = np.array(tree.query_ball_point(centre, _HANGS * radius), int)
+            near = near[abs(length[near] - radius) < _HANGS * radius]
+            leaf = [
+                bool((np.hypot(*(both[near, 1] - tip).T) < _HANGS * radius).any()) for tip in tips
+            ]
+            twice = (
+                np.hypot(*(d.hinge - centre)) < 0.3 * radius
+                and abs(d.width - radius) < 0.3 * radius
+                for d in found
+            )
+            if (any(leaf) or role == "door") and not any(twice):
+                opened = 0 if leaf[0] or not leaf[1] else 1
+                found.append(Door(centre, tips[1 - opened], tips[opened], radius, all(leaf)))
+    return _turned(found, walls)
+
+
+def _turned(doors: list[Door], walls: list[FloatArray]) -> list[Door]:
+    """The same, closed where a wall, or another leaf, goes on: a leaf may be drawn at both ends."""
+    if not walls:
+        return doors
+    some = np.concatenate(
+        [dense(w, np.median([d.width for d in doors] or [1]) / 20) for w in walls]
+    )
+    tree = cKDTree(some)
+    out = []
+    for d in doors:
+        ends = d.closed, d.opened
+        beyond = [end + 0.1 * (end - d.hinge) for end in ends]
+        away = [float(tree.query(b)[0]) for b in beyond]
+        for k, end in enumerate(ends):
+            tips = [t for o in doors if o is not d for t in (o.closed, o.opened, o.hinge)]
+            if tips and np.hypot(*(np.array(tips) - end).T).min() < _HANGS * d.width:
+                away[k] = min(away[k], 0.1 * d.width)
+        swap = away[1] + (0 if d.both else 0.15 * d.width) < away[0]
+        out.append(replace(d, closed=d.opened, opened=d.closed) if swap else d)
+    return out
+
+
+def dense(points: FloatArray, step: float) -> FloatArray:
+    """Points along a line, no farther apart than `step`, up to a bound."""
+    long = np.hypot(*np.diff(points, axis=0).T)
+    n = np.minimum(np.ceil(long / step), 2000).astype(int) + 1
+    return np.concatenate(
+        [
+            a + np.linspace(0, 1, k)[:, None] * (b - a)
+            for a, b, k in zip(points[:-1], points[1:], n, strict=True)
+        ]
+    )
+
+
+def arcs(points: FloatArray) -> list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]:
+    """The parts of a line that are arcs of 55 to 185 degrees: centre, radius and both ends."""
+    out = list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]()
+    step = np.diff(points, axis=0)
+    long = np.hypot(*step.T)
+    step, points = step[long > 0], np.concatenate((points[:1], points[1:][long > 0]))
+    long = long[long > 0]
+    if len(step) < 3:
+        return out
+    unit = step / long[:, None]
+    turn = (unit[1:] * unit[:-1]).sum(axis=1)
+    ratio = long[1:] / long[:-1]
+    cuts = np.flatnonzero((turn < _SHARP) | (ratio > 2.5) | (ratio < 0.4)) + 1
+    for a, b in zip((0, *cuts), (*cuts, len(step)), strict=True):
+        own = points[a : b + 1]
+        if len(own) < 4:
+            continue
+        middle = own.mean(axis=0)
+        to = own - middle
+        (x, y, c), *_ = np.linalg.lstsq(
+            np.column_stack((2 * to, np.ones(len(to)))), (to**2).sum(axis=1), rcond=None
+        )
+        centre, radius = middle + (x, y), float(np.sqrt(max(0.0, c + x * x + y * y)))
+        away = np.hypot(*(own - centre).T)
+        if not radius or np.abs(away - radius).max() > 0.03 * radius:
+            continue
+        angle = np.unwrap(np.arctan2(*(own - centre).T[::-1]))
+        if _SWINGS[0] < abs(np.rad2deg(angle[-1] - angle[0])) < _SWINGS[1]:
+            out.append((centre, radius, (own[0], own[-1])))
+    return out
