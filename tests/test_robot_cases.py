@@ -144,12 +144,12 @@ def corridor(length: float, reach: float, noise: float, n: int) -> tuple[Occupan
 
 @pytest.mark.parametrize(("noise", "reach"), [(0.003, 3.5), (0.01, 8.0)])
 def test_a_good_lidar_in_a_bare_corridor_is_not_blind(noise, reach) -> None:
-    grid, log = corridor(15.0, reach, noise, 150)
+    grid, log = corridor(10.0, reach, noise, 100)
     follower = Tracking().follower(imgloc.prepare(grid), imgloc.Options(threads=1))
     told = [follower.step(one, odom) for one, odom in log]
     assert sum(m.withheld == BLIND for m in told) <= 1
-    assert sum(m.belief.verdict == "unique" for m in told) > 100
-    again = [follower.step(log[-1][0], [0.1 * k, 0, 0], 0.1 * k) for k in range(150, 260)]
+    assert sum(m.belief.verdict == "unique" for m in told) > 60
+    again = [follower.step(log[-1][0], [0.1 * k, 0, 0], 0.1 * k) for k in range(100, 210)]
     assert BLIND in {m.withheld for m in again}  # a frozen one is, once it should see the end
 
 
