@@ -80,6 +80,8 @@ def browser() -> Iterator[Any]:
     if (chromium := shutil.which("chromium")) is None:
         pytest.skip("chromium is not installed")
     with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        browser = p.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox"], timeout=120_000
+        )
         yield browser
         browser.close()

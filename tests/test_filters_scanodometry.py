@@ -127,13 +127,13 @@ def test_two_lasers_tell_of_one_robot() -> None:
 @pytest.mark.parametrize("mount", [None, Pose2D(0.3, 0.1, 0.5)])
 def test_a_robot_that_stands_does_not_drift(mount: Pose2D | None) -> None:
     rng = np.random.default_rng(1)
-    scans = [scan_at((0, 0, 0.3), ROOM, stamp=0.1 * k, mount=mount, noise=rng) for k in range(200)]
+    scans = [scan_at((0, 0, 0.3), ROOM, stamp=0.1 * k, mount=mount, noise=rng) for k in range(120)]
     found, motions = follow(scans)
     assert np.abs(found[:, :2]).max() < 0.02
     assert np.abs(found[:, 2]).max() < 0.005
-    assert np.hypot(*found[100:, :2].mean(axis=0)) < 0.005
+    assert np.hypot(*found[60:, :2].mean(axis=0)) < 0.005
     assert total(motions)[:2].max() < 0.05
-    same, _ = follow([scans[0]] * 50)
+    same, _ = follow([scans[0]] * 20)
     np.testing.assert_allclose(same, 0, atol=4e-3)
 
 
@@ -239,7 +239,7 @@ def test_the_error_is_as_large_as_it_says() -> None:
     turns = np.arange(0, 4 * math.pi, 0.1)
     true = np.column_stack((1 + 1.2 * np.sin(turns), -1.2 * np.cos(turns), turns))
     squares, errors = [], []
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         scans = [scan_at(p, ROOM, stamp=0.2 * k, noise=rng) for k, p in enumerate(true)]
         people = [rng.random(len(ANGLES)) < 0.1 for _ in scans]

@@ -75,8 +75,7 @@ def followed(log, name="curved") -> list[tuple[str, str]]:
     return [(m.belief.verdict, m.withheld) for m in moments]
 
 
-@pytest.mark.parametrize("noise", [1e-9, 1e-3])
-@pytest.mark.parametrize("kind", ["blind", "frozen"])
+@pytest.mark.parametrize(("noise", "kind"), [(1e-9, "blind"), (1e-3, "frozen")])
 def test_noise_in_a_mount_changes_no_verdict(drive, noise, kind) -> None:
     rng = np.random.default_rng(0)
     log = []
@@ -145,12 +144,12 @@ def corridor(length: float, reach: float, noise: float, n: int) -> tuple[Occupan
 
 @pytest.mark.parametrize(("noise", "reach"), [(0.003, 3.5), (0.01, 8.0)])
 def test_a_good_lidar_in_a_bare_corridor_is_not_blind(noise, reach) -> None:
-    grid, log = corridor(15.0, reach, noise, 150)
+    grid, log = corridor(10.0, reach, noise, 100)
     follower = Tracking().follower(imgloc.prepare(grid), imgloc.Options(threads=1))
     told = [follower.step(one, odom) for one, odom in log]
     assert sum(m.withheld == BLIND for m in told) <= 1
-    assert sum(m.belief.verdict == "unique" for m in told) > 100
-    again = [follower.step(log[-1][0], [0.1 * k, 0, 0], 0.1 * k) for k in range(150, 260)]
+    assert sum(m.belief.verdict == "unique" for m in told) > 60
+    again = [follower.step(log[-1][0], [0.1 * k, 0, 0], 0.1 * k) for k in range(100, 210)]
     assert BLIND in {m.withheld for m in again}  # a frozen one is, once it should see the end
 
 
@@ -159,7 +158,7 @@ def test_a_parked_robot_in_a_simulator_without_noise_is_not_blind() -> None:
     walls = distance_image(grid.occupied)
     follower = Tracking().follower(features_of("large"), imgloc.Options(threads=1))
     told = []
-    for k in range(120):
+    for k in range(70):
         x = 45.0 - 0.1 * min(k, 40)
         seen = cast_rays(walls, [x, 20.3], math.pi + ANGLES, 12.0, grid.resolution).astype(float)
         one = LaserScan(seen, ANGLES, range_max=12.0, stamp=0.1 * k)
@@ -184,9 +183,9 @@ def test_the_given_odometry_must_be_finite_and_nothing_changes_if_it_is_not(driv
 
 
 def test_odometry_that_trembles_is_no_way(drive) -> None:
-    """A robot that stands for half a minute, whose odometry trembles by a centimetre."""
+    """A robot that stands for 15 s, whose odometry trembles by a centimetre."""
     rng, log = np.random.default_rng(1), []
-    for k in range(300):
+    for k in range(150):
         ranges = drive[0] + rng.normal(0, 0.01, 181)
         log.append((scan(ranges, k), np.append(rng.normal(0, 0.01, 2), rng.normal(0, 0.005))))
     told = followed(log)

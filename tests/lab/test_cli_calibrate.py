@@ -183,12 +183,12 @@ def test_which_says_why_scans_of_a_map_have_none(shared: Path, tmp_path: Path) -
         (tmp_path / "maps" / name).mkdir(parents=True)
         for file in (shared / "data" / name).glob("map.*"):
             (tmp_path / "maps" / name / file.name).write_bytes(file.read_bytes())
-    some = load_scans(shared / "data" / "fr079" / "scans.npz").take([5, 28, 99, 147, 150, 163, 170])
+    some = load_scans(shared / "data" / "fr079" / "scans.npz").take([5, 28, 99, 147, 150])
     stretched = tuple(replace(scan, ranges=1.07 * scan.ranges) for scan in some.scans)
     save_scans(tmp_path / "a.npz", replace(some, scans=stretched))
     run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache").ends(0)
     named = sum(line.split()[1] == "fr079" for line in run.out.splitlines()[1:])
-    assert named < 4
+    assert named < 3
     where = tmp_path / "maps" / "fr079" / "map.yaml"
     told = run.err.splitlines()[-1]
     assert "fr079: most scans fit this map far better with their ranges multiplied by 0.9" in told

@@ -135,11 +135,11 @@ def test_scans_weigh_more_than_their_readings(service: Served) -> None:
     npz = io.BytesIO()
     np.savez_compressed(npz, ranges=np.full((150_000, 1), 1.0), angles=np.zeros(1))
     ids = list[str]()
-    for _ in range(4):
+    for _ in range(3):
         ids.append(sent_scans(service, npz.getvalue(), "a.npz"))
     kept = [httpx.get(f"{service.address}/v1/scans/{id_}?count=1").status_code for id_ in ids]
-    assert kept == [404, 404, 200, 200]  # 40 million numbers together
-    for id_ in ids[2:]:
+    assert kept == [404, 200, 200]  # 40 million numbers together
+    for id_ in ids[1:]:
         httpx.delete(f"{service.address}/v1/scans/{id_}")
 
 
@@ -395,7 +395,7 @@ def test_two_clients_with_one_name_never_see_each_others_map() -> None:
                 assert gone.status_code == 204
                 about = None
             else:
-                url = f"/v1/localize?map={about['id']}&method=cbml&theta_step_deg=30"
+                url = f"/v1/localize?map={about['id']}&method=ght&theta_step_deg=30"
                 row = (await ask.post(url, json=scan)).json()
                 assert (row["map"], row["version"]) == (about["id"], version)
 

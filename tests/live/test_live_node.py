@@ -224,12 +224,13 @@ SET = """
 import sys, rclpy, rclpy.parameter_client
 rclpy.init()
 client = rclpy.parameter_client.AsyncParameterClient(node := rclpy.create_node("setter"), "imgloc")
-for _ in range(9):
-    asked = client.set_parameters([rclpy.Parameter(sys.argv[1], value=eval(sys.argv[2]))])
-    rclpy.spin_until_future_complete(node, asked, timeout_sec=10)
-    if asked.done():
-        print(asked.result().results[0].reason or "done")
-        break
+for name, value in zip(sys.argv[1::2], sys.argv[2::2]):
+    for _ in range(9):
+        asked = client.set_parameters([rclpy.Parameter(name, value=eval(value))])
+        rclpy.spin_until_future_complete(node, asked, timeout_sec=10)
+        if asked.done():
+            print(asked.result().results[0].reason or "done")
+            break
 """
 
 
@@ -238,20 +239,21 @@ def test_parameters_change_while_it_runs_or_say_why_not(field, log) -> None:
     field.node(MAP, "--sensor", SENSOR, "--tries", 10_000)
     field.play(MAP, log, "--no-map", "--freeze", "ranges")
     field.until(lambda: field.heard("status") and field.heard("status")[-1]["tries"] > 6)
-    for name, value, said in (
-        ("tries", "-1", "parameter tries: got -1, expected a whole number, scans, 2"),
-        ("track", "True", "read-only"), ("max_age", "[1.0]", "max_age: got"),
-        ("tries", "6", "done"),
+    for words, said in (
+        (("tries", "-1", "track", "True", "max_age", "[1.0]"),
+         ("parameter tries: got -1, expected a whole number, scans, 2", "read-only",
+          "max_age: got")),
+        (("tries", "6"), ("done",)),
     ):  # fmt: skip
-        command = [sys.executable, "-c", SET, name, value]
+        assert not any(one["state"] == "given up" for one in field.heard("status"))
+        command = [sys.executable, "-c", SET, *words]
         done = subprocess.run(command, env=field.around, capture_output=True, timeout=LONG)
-        assert said in done.stdout.decode(), done.stderr
-        given_up = any(one["state"] == "given up" for one in field.heard("status"))
-        assert said == "done" or not given_up
+        for line, expected in zip(done.stdout.decode().splitlines(), said, strict=True):
+            assert expected in line
     field.until(lambda: field.heard("status")[-1]["state"] == "given up")
 
 
-@pytest.mark.parametrize("wrong", ["nan", "zero", "unstamped"])
+@pytest.mark.parametrize("wrong", ["nan", "unstamped"])
 def test_no_pose_has_the_stamp_of_a_scan_that_says_nothing(field, log, wrong) -> None:
     field.listen()
     field.node(MAP, "--sensor", SENSOR, "--tries", 10_000)
@@ -364,7 +366,7 @@ def test_a_pose_is_remembered_and_a_scan_decides_whether_it_still_holds(field, l
     field.listen()
     node = field.node(MAP, "--sensor", SENSOR, "--remember", file)
     player = field.play(MAP, log, "--no-map")
-    field.until(lambda: file.exists() and len(field.played()) > 120)
+    field.until(lambda: file.exists() and len(field.played()) > 40)
     for process in (player, node):
         process.send_signal(signal.SIGTERM)
         assert process.wait(LONG) in (0, -signal.SIGTERM)
@@ -372,14 +374,13 @@ def test_a_pose_is_remembered_and_a_scan_decides_whether_it_still_holds(field, l
     pose = kept["pose"]
     here = np.hypot(truth[:, 0] - pose["x"], truth[:, 1] - pose["y"])
     assert here.min() < 0.1  # where it was
-    for said, off, identity in (("restored", 0, kept["identity"]), ("moved", 3, kept["identity"]),
-                                ("restored", 0, "another map")):  # fmt: skip
-        moved = {**kept, "identity": identity, "pose": {**pose, "x": pose["x"] + off}}
-        file.write_text(json.dumps(moved))
-        before = len(field.heard("initialpose"))
+    for said, off in (("restored", 0), ("moved", 3)):
+        file.write_text(json.dumps({**kept, "pose": {**pose, "x": pose["x"] + off}}))
+        before, heard = len(field.heard("initialpose")), len(field.heard("status"))
         node = field.node(MAP, "--sensor", SENSOR, "--remember", file)
+        field.until(lambda heard=heard: len(field.heard("status")) > heard + 2)  # it is there
         first = field.folder / f"{len(field.running)}.jsonl"
-        player = field.start("tools.robot", "play", MAP, log, "--no-map", "--hold", 8, "--first",
+        player = field.start("tools.robot", "play", MAP, log, "--no-map", "--hold", 3, "--first",
                              here[:1000].argmin(), "--write", first)  # fmt: skip
         field.until(lambda before=before: len(field.heard("initialpose")) > before)
         field.until(lambda said=said: field.heard("status")[-1].get("remembered") == said)
@@ -477,23 +478,16 @@ def test_killed_and_started_again_nothing_wrong_is_told(field, log) -> None:
     assert told.right, told
 
 
-@pytest.mark.parametrize(
-    ("name", "start"),
-    [("mac_1st_floor_final", (6.88, -8.36, 1.77)), ("mac_1st_floor_9_23", (6.467, -8.854, 1.7))],
-)
-def test_a_recorded_robot_is_told_where_it_is(field, shared, name, start) -> None:
-    map_path = shared / "olin_mac" / "maps" / f"{name}.yaml"
-    bag = shared / "olin_mac" / "bags" / "macfirst_floor_take_2"
-    if not bag.exists():
-        map_path = shared / "data" / "olin_mac" / "maps" / f"{name}.yaml"
-        bag = shared / "data" / "olin_mac" / "bags" / "macfirst_floor_take_2"
+def test_a_recorded_robot_is_told_where_it_is(field, shared) -> None:
+    map_path = shared / "data" / "olin_mac" / "maps" / "mac_1st_floor_final.yaml"
+    bag = shared / "data" / "olin_mac" / "bags" / "macfirst_floor_take_2"
     field.listen()
     field.node("--sensor", "0.00394,0,90deg")
     field.play(map_path, bag, "--count", 150)
     field.until(lambda: field.heard("initialpose"))
     recorded = imgloc.load_scans(bag)
     played = recorded.take(range(1 + max(one["index"] for one in field.played())))
-    truth = true_poses(map_path, played, Pose2D(*start))
+    truth = true_poses(map_path, played, Pose2D(6.88, -8.36, 1.77))
     told = judged(Told(PATIENCE), field.heard("initialpose"), field.played(), truth)
     assert told.right, told
 
@@ -503,7 +497,7 @@ def test_a_listener_who_hears_nothing_ends_at_ctrl_c(field) -> None:
     (listener,) = field.running
     time.sleep(2.0)  # until it waits
     listener.send_signal(signal.SIGINT)
-    assert listener.wait(LONG / 4) == 130
+    assert listener.wait(LONG) == 130
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ if shutil.which("chromium") is None:
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 POSES = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(6)])
-WAIT = 15_000  # milliseconds
+WAIT = 60_000  # milliseconds, which only what fails takes
 sync.expect.set_options(timeout=WAIT)
 EVIL = "<img src=x onerror=window.hit=1>"
 
@@ -578,7 +578,7 @@ def test_no_wall_lies_under_a_button_until_the_map_is_moved(page: Any, log: Path
         """Wait until all walls are in view and no button is over them; the canvas' height."""
         buttons = """[...document.querySelectorAll(".tools")].map(
             (one) => one.offsetTop + one.offsetHeight)"""
-        for _ in range(150):
+        for _ in range(WAIT // 100):
             top, bottom = page.evaluate(INK)
             height = page.evaluate("document.getElementById('canvas').height")
             lowest = max(page.evaluate(buttons))

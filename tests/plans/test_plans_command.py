@@ -197,15 +197,15 @@ def test_walls_that_are_taken_for_two_are_warned_of(tmp_path: Path) -> None:
 
 
 def test_walls_that_are_too_thick_to_be_one_are_warned_of() -> None:
-    sheet, pen, thick, side = np.full((700, 1000), 255, np.uint8), 2, 34, 240
-    cv2.rectangle(sheet, (100, 100), (100 + 2 * side + 3 * thick, 100 + side + 2 * thick), 0, pen)
-    for x in (100 + thick, 100 + 2 * thick + side):
-        cv2.rectangle(sheet, (x, 100 + thick), (x + side, 100 + thick + side), 0, pen)
-    middle = 100 + thick + side
-    for y in (200, 240):  # a door between the rooms
+    sheet, pen, thick, side = np.full((440, 560), 255, np.uint8), 2, 34, 120
+    cv2.rectangle(sheet, (90, 90), (90 + 2 * side + 3 * thick, 90 + side + 2 * thick), 0, pen)
+    for x in (90 + thick, 90 + 2 * thick + side):
+        cv2.rectangle(sheet, (x, 90 + thick), (x + side, 90 + thick + side), 0, pen)
+    middle = 90 + thick + side
+    for y in (160, 200):  # a door between the rooms
         cv2.line(sheet, (middle, y), (middle + thick, y), 0, pen)
     for x in (middle, middle + thick):
-        sheet[203:238, x - 3 : x + 4] = 255
+        sheet[163:198, x - 3 : x + 4] = 255
     found = plan_to_map(sheet, 0.025)  # walls 0.9 m thick with their lines
     assert found.gaps_share > 0.4
     assert "spaces less than 1.3 m wide without a door" in found.doubt

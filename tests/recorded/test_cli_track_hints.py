@@ -97,7 +97,7 @@ def test_a_mirrored_map_is_told_from_a_sensor_upside_down(
     mirrored = OccupancyGrid(place.occupied[::-1], place.free[::-1], place.resolution)
     (hint,) = hints(followed(mirrored, recorded, tmp_path))
     assert "the image of the map is mirrored. Try --flipped" in hint
-    (hint,) = hints(followed(place, recorded, tmp_path, "--flipped"))
+    (hint,) = hints(followed(place, recorded.take(range(40)), tmp_path, "--flipped"))
     assert hint.endswith("the sensor does not hang upside down. Leave out --flipped")
 
 

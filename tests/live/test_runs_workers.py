@@ -59,11 +59,11 @@ def test_what_hangs_is_ended() -> None:
 def test_what_a_task_needs_to_begin_is_not_of_its_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lines = ("import sys, time", "if sys.argv[0] == '-c':  # in a worker", "    time.sleep(1.0)",
+    lines = ("import sys, time", "if sys.argv[0] == '-c':  # in a worker", "    time.sleep(2.0)",
              "def triple(value):", "    return 3 * value")  # fmt: skip
     (tmp_path / "slow_to_import.py").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(tmp_path)
-    with Supervised(1, timeout=0.5) as pool:
+    with Supervised(1, timeout=1.5) as pool:
         assert pool.submit(importlib.import_module("slow_to_import").triple, 2).result() == 6
 
 
@@ -96,17 +96,17 @@ class Held:
 
     def __reduce__(self):
         self.asked.set()
-        self.may.wait(20)
+        self.may.wait(60)
         return float, ("600",)
 
 
 def test_a_worker_that_is_not_there_yet_is_ended_too() -> None:
     pool, held = Supervised(1), Held()
     running = pool.submit(hang, held)
-    assert held.asked.wait(20)
+    assert held.asked.wait(60)
     pool.shutdown(wait=False, cancel_futures=True)
     held.may.set()
-    assert isinstance(running.exception(20), CrashError)
+    assert isinstance(running.exception(60), CrashError)
 
 
 def test_there_are_no_more_workers_than_tasks() -> None:

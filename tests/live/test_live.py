@@ -90,7 +90,7 @@ class Gate:
     def __init__(self, core: Localizer) -> None:
         self.entered, self.go = threading.Event(), threading.Event()
         self.work = core._line.put(Key("gate", self), self._wait)
-        assert self.entered.wait(10)
+        assert self.entered.wait(60)
 
     def _wait(self, _: float) -> None:
         self.entered.set()
@@ -468,7 +468,7 @@ def test_a_reset_drops_what_is_looked_at_and_waits_for_nothing(
         with monkeypatch.context() as patch:
             patch.setattr("imgloc.filters.follow.Follower.step", slow)
             running = core.update_soon(log[1], np.zeros(3))
-            assert entered.wait(10)
+            assert entered.wait(60)
             waiting = core.update_soon(log[2], np.zeros(3))
             core.reset()
             assert why_of(waiting) == "reset"
