@@ -15,6 +15,7 @@ with 1 if one of their requests is lost, or memory or open files exceed their bo
 
 import argparse
 import http.client
+import http.server
 import json
 import os
 import signal
@@ -52,35 +53,6 @@ class Ask(NamedTuple):
 
     path: str
     body: bytes
-
-
-@dataclass
-class Clients:
-    """What some clients have seen, together."""
-
-    host: str
-    asks: Sequence["Ask"]
-    left: int
-    codes: Counter[int] = field(default_factory=Counter)
-    seconds: list[float] = field(default_factory=list)
-    lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def take(self) -> int | None:
-        """The number of the next request; None when there is none."""
-        with self.lock:
-            self.left -= 1
-            return None if self.left < 0 else self.left
-
-    def ask(self) -> None:
-        """Be one of the clients, over one connection."""
-        link = http.client.HTTPConnection(self.host, timeout=120)
-        while (k := self.take()) is not None:
-            begin = time.perf_counter()
-            code = asked(link, self.asks[k % len(self.asks)])
-            with self.lock:
-                self.codes[code] += 1
-                self.seconds.append(time.perf_counter() - begin)
-        link.close()
 
 
 def asked(link: http.client.HTTPConnection, ask: Ask) -> int:
@@ -167,10 +139,7 @@ def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
     requests = args.requests
     for left in range(requests, 0, -_PART):
         part = Clients(host, asks, min(_PART, left))
-        threads = [threading.Thread(target=part.ask) for _ in range(args.clients)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
+        for thread in part.begin(args.clients):
             thread.join()
         codes += part.codes
         held.append(resident(process.pid))
@@ -199,23 +168,54 @@ def probe(host: str, seconds: float) -> tuple[list[float], int]:
     return took, wrong
 
 
+class Bare(http.server.BaseHTTPRequestHandler):
+    """All that it does is to answer ``/healthz``."""
+
+    def do_GET(self) -> None:
+        """Answer."""
+        self.send_response(200)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+def beside_nothing(seconds: float) -> list[float]:
+    """Seconds of each answer of a process that only answers :func:`probe`: the machine's own."""
+    server = http.server.HTTPServer(("127.0.0.1", 0), Bare)
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        asked = pool.submit(probe, f"127.0.0.1:{server.server_port}", seconds)
+        asked.add_done_callback(lambda _: server.shutdown())
+        server.serve_forever(0.5)
+        return asked.result()[0]
+
+
 @dataclass
-class Honest:
+class Clients:
     """What clients see that mean no harm, and somebody who asks whether the service runs."""
 
     host: str
     asks: Sequence[Ask]
-    stop: threading.Event = field(default_factory=threading.Event)
+    left: float = float("inf")  #: requests
     seconds: list[float] = field(default_factory=list)
     probes: list[float] = field(default_factory=list)
+    bare: list[float] = field(default_factory=list)  #: of a process that does nothing else
     codes: Counter[int] = field(default_factory=Counter)
     memory: float = 0.0
     files: int = 0
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def ask(self, number: int) -> None:
+    def take(self) -> int | None:
+        """The number of the next request; None when there is none."""
+        with self.lock:
+            self.left -= 1
+            return None if self.left < 0 else len(self.seconds)
+
+    def ask(self) -> None:
         """Be one of the clients: what is busy, or has closed an idle connection, is asked again."""
-        link, k = http.client.HTTPConnection(self.host, timeout=60), number
-        while not self.stop.is_set():
+        link = http.client.HTTPConnection(self.host, timeout=120)
+        while (k := self.take()) is not None:
             begin, ask = time.perf_counter(), self.asks[k % len(self.asks)]
             for _ in range(_TRIES):
                 self.codes[code := asked(link, ask)] += 1
@@ -225,40 +225,46 @@ class Honest:
             else:
                 self.codes[-1] += 1
             self.seconds.append(time.perf_counter() - begin)
-            k += 1
         link.close()
+
+    def begin(self, clients: int) -> list[threading.Thread]:
+        """Let some ask at once."""
+        threads = [threading.Thread(target=self.ask) for _ in range(clients)]
+        for thread in threads:
+            thread.start()
+        return threads
 
     def run(self, pid: int, seconds: float, clients: int) -> None:
         """Ask for some time."""
-        threads = [threading.Thread(target=self.ask, args=(k,)) for k in range(clients)]
         # An orchestrator does not wait for the interpreter of these clients: a process of its own.
-        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            pool.submit(int).result()  # it has begun
+        with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+            list(pool.map(int, "12"))  # they have begun
             asked, end = pool.submit(probe, self.host, seconds), time.monotonic() + seconds
-            for thread in threads:
-                thread.start()
+            bare = pool.submit(beside_nothing, seconds)
+            threads = self.begin(clients)
             while time.monotonic() < end:
                 self.memory = max(self.memory, resident(pid))
                 self.files = max(self.files, len(list(Path(f"/proc/{pid}/fd").iterdir())))
                 time.sleep(0.2)
-            self.stop.set()
+            self.left = 0
             for thread in threads:
                 thread.join()
-            self.probes, wrong = asked.result()
+            (self.probes, wrong), self.bare = asked.result(), bare.result()
         self.codes[-1] += wrong
 
     def say(self, what: str) -> None:
         """Print what was seen."""
         lost, again, closed = (self.codes[code] for code in (-1, 503, 0))
         print(f"{what}: {len(self.seconds)} requests, {percentiles(self.seconds)}; {lost} lost, ")
-        print(f"  {again} times 503, {closed} times closed and asked again; healthz")
-        print(f"  {percentiles(self.probes)}, longest {1e3 * max(self.probes):.0f} ms;", end=" ")
-        print(f"{self.memory:.0f} MiB, {self.files} open files", flush=True)
+        print(f"  {again} times 503, {closed} times closed and asked again;")
+        for name, took in ("healthz", self.probes), ("a process that does nothing else", self.bare):
+            print(f"  {name}: {percentiles(took)}, longest {1e3 * max(took):.0f} ms;")
+        print(f"  {self.memory:.0f} MiB, {self.files} open files", flush=True)
 
 
 def beside_a_crowd(host: str, pid: int, asks: Sequence[Ask], args: argparse.Namespace) -> int:
     """Compare what clients see alone with what they see beside a crowd; the exit code."""
-    alone, beside = Honest(host, asks), Honest(host, asks)
+    alone, beside = Clients(host, asks), Clients(host, asks)
     alone.run(pid, min(_ALONE, args.crowd), args.clients)
     alone.say("alone")
     there = (host, args.crowd + 2, args.only)
