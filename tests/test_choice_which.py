@@ -132,8 +132,6 @@ def test_a_map_that_cannot_be_opened_is_made_up_for(monkeypatch) -> None:
 
 
 def test_ruled_out_maps_count_as_asked() -> None:
-    from dataclasses import replace
-
     from test_choice import made
 
     some = {"a": replace(made(140.0), verdict="ambiguous"), "b": made(-60.0)}

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 import typer
@@ -134,8 +134,6 @@ def test_a_text_that_is_no_value_is_refused_by_the_option(
 
 
 def test_a_command_takes_fields_of_dataclasses() -> None:
-    from typing import Annotated
-
     seen: list[Any] = []
 
     def some(

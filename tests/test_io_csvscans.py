@@ -75,13 +75,9 @@ def exported(kind: str) -> str:
         cells = [f'"{form.format(mark.join(map(str, scan)))}"' for scan in RANGES]
         rows = [[k, STAMPS[k], *values, cells[k], '"()"'] for k in range(N)]
         return table(["", "timestamp", *FIELDS, name, "intensities"], rows)
-    if kind == "angles first, time first":
-        return table(["", *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
-    if kind == "angles first, a number above the time":
-        return table([0, *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
-    if kind == "time last":
-        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
-        return said + table([], [[*RANGES[k], t] for k, t in enumerate(STAMPS)])
+    if kind in ("angles first, time first", "angles first, a number above the time"):
+        above = 0 if "number" in kind else ""
+        return table([above, *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
     if kind == "angles first in degrees":
         return table(["time", *np.rad2deg(ANGLES).round(4)],
                      [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])  # fmt: skip
@@ -114,9 +110,10 @@ def exported(kind: str) -> str:
     if kind in ("blanks", "tabs"):
         said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
         return said + table([], RANGES.tolist(), "  " if kind == "blanks" else "\t")
-    if kind == "time first":
+    if kind in ("time first", "time last"):
         said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
-        return said + table([], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+        rows = np.column_stack((STAMPS, RANGES) if kind == "time first" else (RANGES, STAMPS))
+        return said + table([], rows.tolist())
     assert kind == "savetxt"
     head = f"# t {' '.join(f'r{k}' for k in n)}\n# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
     return head + table([], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)], " ")

@@ -15,7 +15,7 @@ from command import MAPS, ROOT, SAFE, call, spawn
 
 import imgloc
 from imgloc.model import LaserScan, Pose2D
-from imgloc.output.mcap import evenly
+from imgloc.output.mcap import Recording, evenly
 
 highlevel = pytest.importorskip("rosbags.highlevel", reason="reads bags: the extra ros")
 
@@ -76,7 +76,6 @@ def test_a_track_is_there_as_ros_knows_it(tmp_path, log) -> None:
 def test_a_unique_pose_is_a_pose_and_a_transform(tmp_path) -> None:
     from imgloc.filters.belief import Belief
     from imgloc.filters.follow import Moment
-    from imgloc.output.mcap import Recording
 
     pose = Pose2D(1.0, 2.0, math.pi / 2)
     belief = Belief(np.array([[1.0, 2.0, 0.5]]), np.ones(1), np.eye(3)[None], 0.0, "unique", 1.0)

@@ -8,7 +8,7 @@ The robot goes from place to place where there is most room, is carried off once
 import itertools
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -96,8 +96,7 @@ def frames_of(log: ScanSet) -> list[Image]:
     features, frames = prepare(render(WORLDS[WORLD](), 0.1)), list[Image]()
     video = Video(features, title="lost, found, carried off, found again")
     video.close()
-    writer: Any = SimpleNamespace(write=frames.append, release=lambda: None)
-    video._writer = writer
+    video._writer = cast("Any", SimpleNamespace(write=frames.append, release=lambda: None))
     for moment in follow(features, log, make_filter("tracker", features, Options())):
         video.add(moment, log[moment.index])
     return frames

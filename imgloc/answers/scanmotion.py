@@ -92,11 +92,10 @@ def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float] | None:
         k = [k for k, scan in enumerate(scans.scans) if scan.laser == name]
         own, path = scans.take(k), odom[k]
         share = _share(own.scans.__getitem__, path, _pairs(path, own), Way(""))
-        if np.median([np.count_nonzero(scan.valid) for scan in own.scans]) >= _LEAST:
-            shares |= {} if math.isnan(share) else {name: share}
-    worst = min(shares, key=lambda name: shares[name], default="")
-    odd = bool(shares) and shares[worst] < POOR <= max(shares.values())
-    return (worst, shares[worst]) if odd else None
+        seen = np.median([np.count_nonzero(scan.valid) for scan in own.scans])
+        shares |= {name: share} if seen >= _LEAST and not math.isnan(share) else {}
+    ranked = sorted(shares.items(), key=lambda item: item[1])
+    return ranked[0] if ranked and ranked[0][1] < POOR <= ranked[-1][1] else None
 
 
 def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:

@@ -67,8 +67,7 @@ def inspect(
     how = inputs.map_files(reading)
     for path in maps:
         _map(path, how, desk, typed, as_json=as_json)
-    the_map = maps[0] if len(maps) == 1 else None
-    look = _Look(desk, how, the_map, logs, mounting, typed)
+    look = _Look(desk, how, maps[0] if len(maps) == 1 else None, logs, mounting, typed)
     for k, path in enumerate(found):
         look.at(path, as_json=as_json, picture=names.get(k), force=force)
 
@@ -79,25 +78,19 @@ def _is_map(path: Path) -> bool:
     from imgloc.io.maps import YAML_ENDINGS
     from imgloc.io.mapyaml import image_named
     from imgloc.io.scans import SCAN_ENDINGS
+    from imgloc.io.text import unmarked
 
     ending = path.suffix.lower()
     if ending in YAML_ENDINGS:
         with contextlib.suppress(MapError):
             image_named(path)
             return True
-        return not _is_echo(path)
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            return b"ranges:" not in unmarked(file.read(4096))  # as ros2 topic echo prints
+        return True
     if ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
         return True
     return ending not in SCAN_ENDINGS and opt.find_map(path) != path
-
-
-def _is_echo(path: Path) -> bool:
-    """Return whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
-    from imgloc.io.text import unmarked
-
-    with contextlib.suppress(OSError), path.open("rb") as file:
-        return b"ranges:" in unmarked(file.read(4096))
-    return False
 
 
 def _map(path: Path, how: "MapFiles", desk: "Desk", typed: Typed, *, as_json: bool) -> None:
@@ -107,14 +100,11 @@ def _map(path: Path, how: "MapFiles", desk: "Desk", typed: Typed, *, as_json: bo
     from imgloc.runs.check import Check
 
     (answer,) = Check(maps=how).open(inputs.item_of(path), desk)
-    known = {field.flag for field in declared(opt.MapImages)} - {"--allow-lossy"}
-    known.add("--memory-budget")
+    known = {"--memory-budget", *(f.flag for f in declared(opt.MapImages))} - {"--allow-lossy"}
     words = _quoted({flag: words for flag, words in typed.items() if flag in known})
     command = " ".join(["imgloc map check", _word(path), *words])
-    if as_json:
-        emit(to_json(answer.row | {"next": command}))
-    else:
-        emit(f"{report_text(answer.of)}\n  next        {command}")
+    text = f"{report_text(answer.of)}\n  next        {command}"
+    emit(to_json(answer.row | {"next": command}) if as_json else text)
 
 
 @dataclass(frozen=True)
@@ -183,10 +173,8 @@ class _Look:
             odd = [found for found in every.findings if found.code == "two-lasers"]
         except ScanError:  # they are not of one robot, or it is not known where they sit
             key = "two-lasers/apart"
-        return replace(self.logs, topic=first), [
-            *odd,
-            cause(key, count=len(lasers), first=first, names=names),
-        ]
+        odd.append(cause(key, count=len(lasers), first=first, names=names))
+        return replace(self.logs, topic=first), odd
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
         """The command to go on with: it goes on from the options that were typed."""

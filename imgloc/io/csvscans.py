@@ -166,9 +166,8 @@ def role_of(name: str) -> tuple[str, int, float]:
     bare = name[: unit.start()] if unit else name
     for pattern, role in _ROLES:
         if found := pattern.fullmatch(name) or (pattern.fullmatch(bare) if unit else None):
-            factor = (
-                _UNITS.get(unit[1], 1.0) if unit and role in ("angle", "range", "time") else 1.0
-            )
+            measured = unit and role in ("angle", "range", "time")
+            factor = _UNITS.get(unit[1], 1.0) if unit and measured else 1.0
             if role in ("time", "stamp") and name.startswith(("%", "field.")):  # rostopic echo -p
                 factor = _UNITS["ns"]
             return role or str(found[2]), 0, factor
@@ -225,9 +224,8 @@ class _Table:
         places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
         for key, wanted in _PLACES.items():
             if 0 < len(places[key]) < len(wanted):
-                there = ", ".join(c for c in wanted if c in by)
-                expected = f"expected all of {', '.join(wanted)} or none"
-                raise ScanError(f"{self.name}: columns {there}, {expected}")
+                there, every = ", ".join(c for c in wanted if c in by), ", ".join(wanted)
+                raise ScanError(f"{self.name}: columns {there}, expected all of {every} or none")
         if not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
             if fov is None:
                 expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.answers.causes import Cause
 from imgloc.answers.logcheck import LogReport
 from imgloc.answers.scanmotion import AGREES
 from imgloc.errors import as_options
@@ -18,6 +17,7 @@ from imgloc.output.plots import blank, ink, words
 from imgloc.output.tables import percent
 
 _FIRST = ("LaserScan", "PointCloud2", "Odometry", "OccupancyGrid", "TFMessage")
+_FINDING = ("code", "text", "options", "serious")
 _SHOWN = 8  # kinds of lines, or topics
 
 
@@ -26,23 +26,15 @@ def log_row(
 ) -> dict[str, Any]:
     """The contents of a log as plain values: an object of `imgloc inspect --json`."""
     counts, edges = report.histogram
+    said = ((f.code, as_options(f.text), as_options(f.options), f.serious) for f in report.findings)
     return {
         "file": name,
         "format": form,
         "kinds": [{"name": k.name, "type": k.type or None, "count": k.count} for k in kinds],
         **plain(report.facts),
         "histogram": {"counts": counts.tolist(), "edges": edges.tolist()},
-        "findings": [_finding(finding) for finding in report.findings],
+        "findings": [dict(zip(_FINDING, finding, strict=True)) for finding in said],
         "next": command,
-    }
-
-
-def _finding(finding: Cause) -> dict[str, Any]:
-    return {
-        "code": finding.code,
-        "text": as_options(finding.text),
-        "options": as_options(finding.options),
-        "serious": finding.serious,
     }
 
 
@@ -57,14 +49,14 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
         more = f" and {len(kinds) - _SHOWN} more" if len(kinds) > _SHOWN else ""
         lines.append(("contains", ", ".join(some) + more))
     if (log := facts["recording"]) is not None:
-        lines.append(("taken", _taken(log)))
+        odometry = f"odometry {log['odometry']} ({log['why']})"
+        taken = f"scans {log['taken']}, {odometry if log['odometry'] else 'no odometry'}"
+        lines.append(("taken", taken))
+    shares = (f"{key.replace('_', ' ')} {percent(n)}" for key, n in facts["shares"].items())
     lines += [
         ("scans", f"{facts['scans']:,} of {_rays(facts)}"),
         ("ranges", _ranges(facts)),
-        (
-            "readings",
-            ", ".join(f"{k.replace('_', ' ')} {percent(v)}" for k, v in facts["shares"].items()),
-        ),
+        ("readings", ", ".join(shares)),
         ("stamps", _stamps(facts["stamps"])),
         ("odometry", _odometry(facts["odometry"])),
         ("poses", _poses(facts)),
@@ -84,12 +76,6 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
     out = [name, *(f"  {key:<11} {value}" for key, value in lines), f"  {'findings':<11} {found}"]
     out += [f"    {f.code}: {as_options(f.said)}" for f in report.findings]
     return "\n".join([*out, f"  {'next':<11} {command}"])
-
-
-def _taken(log: Mapping[str, Any]) -> str:
-    """Which laser and which odometry, and why."""
-    odometry = f"odometry {log['odometry']} ({log['why']})" if log["odometry"] else "no odometry"
-    return f"scans {log['taken']}, {odometry}"
 
 
 def _about(kind: Kind, seconds: float) -> str:
@@ -133,9 +119,8 @@ def _odometry(odometry: Mapping[str, Any] | None) -> str:
 
 def _poses(facts: Mapping[str, Any]) -> str:
     if not facts["poses"]:
-        return (
-            "the odometry fits the map, too" if facts.get("odometry_fits") else "none but odometry"
-        )
+        fits_too = facts.get("odometry_fits")
+        return "the odometry fits the map, too" if fits_too else "none but odometry"
     if facts["poses"] == "odometry":
         return "the same as the odometry" + ("" if "on_map" in facts else "; a map tells more")
     fits = {True: "; they fit the map", False: "; they do not fit the map", None: ""}

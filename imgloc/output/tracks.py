@@ -27,7 +27,6 @@ from imgloc.output.canvas import (
     SHADE,
     TRUTH,
     Colour,
-    Image,
     Picture,
     building,
     enlarged,
@@ -259,7 +258,9 @@ class Video:
         sheet = framed(self._map, grid.origin, title, entries)
         # Where in it the upper left pixel of the map is.
         upper = np.array([(self._map.box[0, 0], self._map.box[1, 1])])
-        self._left, self._top = np.rint(sheet.pixels(upper)[0] + 0.5).astype(int).tolist()
+        left, top = np.rint(sheet.pixels(upper)[0] + 0.5).astype(int).tolist()
+        high, wide = self._map.image.shape[:2]
+        self._within = np.s_[top : top + high, left : left + wide]
         height, width = sheet.image.shape[:2]
         figure, self._line = blank((width + width % 2) / 100, 0.28, facecolor="white")
         self._words = figure.text(16 / width, 0.4, "", size=10, color=ink(INK))
@@ -280,10 +281,10 @@ class Video:
         if moment.pose is not None:
             for last in self._last:
                 ends = np.stack((last.belief.poses[0, :2], belief.poses[0, :2]))
-                _lay_way(self._map_of(self._sheet), last, moment, ends)
+                _lay_way(replace(self._map, image=self._sheet[self._within]), last, moment, ends)
             self._last = [moment]
         frame = self._sheet.copy()
-        canvas = self._map_of(frame)
+        canvas = replace(self._map, image=frame[self._within])
         if scan is not None and len(belief.poses):
             base = Pose2D(*belief.poses[0])
             at = base if scan.T_base_laser is None else compose(base, scan.T_base_laser)
@@ -297,11 +298,6 @@ class Video:
         line = self._line()
         frame[-len(line) :, : line.shape[1]] = line
         self._writer.write(frame)
-
-    def _map_of(self, frame: Image) -> Picture:
-        """The part of a frame that is the map, to draw in."""
-        height, width = self._map.image.shape[:2]
-        return replace(self._map, image=frame[self._top :, self._left :][:height, :width])
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the file."""

@@ -30,8 +30,7 @@ def picture() -> Picture:
     older = OccupancyGrid(walls, grid.free & ~walls, grid.resolution, grid.origin)
     kinds = [draw(features, what=what) for what in SUBJECTS]
     kinds += [draw(grid, likelihood(features, scans[1], name)) for name in ("ght-v", "cbml")]
-    kinds.append(draw(grid, localize(features, scans[1]), scans[1]))
-    kinds.append(atlas.picture())
+    kinds += [draw(grid, localize(features, scans[1]), scans[1]), atlas.picture()]
     kinds.append(draw_alignment(grid, older, align_maps(grid, older)))
     kinds.append(draw_changes(map_changes(older, scans.scans, scans.poses)))
     rows = mosaic([_wide(kind, 600) for kind in kinds], columns=3)
