@@ -233,14 +233,9 @@ def inside_of(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArr
     found = [enclosed(taken, g / 2 / cell) for g in gaps]
     # Of all buildings: the paper between two is not what a wider gap is for.
     areas = np.array([np.count_nonzero(cells) for cells in found])
-    k = int(np.argmax(areas >= ENOUGH * areas.max()))
-    largest = _largest(found[k], taken)
-    # One more: a disc that only just fails to get through a door reaches far into it. Buildings
-    # that are apart stay so, however wide the paper between them is.
-    if k + 1 < len(found) and np.count_nonzero(largest) >= ENOUGH * areas[k]:
-        k += 1
-        largest = _largest(found[k], taken)
-    return largest, gaps[k]
+    # One more: a disc that only just fails to get through a door reaches far into it.
+    k = min(int(np.argmax(areas >= ENOUGH * areas.max())) + 1, len(found) - 1)
+    return _largest(found[k], taken), gaps[k]
 
 
 def _largest(inside: BoolArray, walls: BoolArray) -> BoolArray:

@@ -293,14 +293,14 @@ def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:
     points = list[Any]()
     for part in (*abs(Path(d) * matrix), None):
         if part is None or isinstance(part, Move):
-            out = np.array([(p.x, p.y) for p in points])
+            out = np.array(points)
             if _drawn(out):
                 yield out
-            points = [] if part is None else [part.end]
+            points = [] if part is None else [tuple(part.end)]
         elif isinstance(part, Line | Close):
-            points += [part.end] if part.end is not None else []
+            points += [tuple(part.end)] if part.end is not None else []
         else:
-            points += [part.point(t) for t in np.linspace(0, 1, 13)[1:]]
+            points += part.npoint(np.linspace(0, 1, 13)[1:]).tolist()
 
 
 def _stated(paper: float, texts: Sequence[str]) -> tuple[tuple[float, str], ...]:
