@@ -208,8 +208,6 @@ class Tracker:
     True
     """
 
-    unsure = ""
-
     def __init__(
         self,
         features: MapFeatures,
