@@ -694,12 +694,9 @@ class Chosen(Checked):
     )
     sample: Count | None = option(
         None,
-        "Take only N scans of a file, drawn at random; a seed always draws the same ones. "
-        "[default: all]",
+        "Take only N scans of a file, drawn at random: the same ones each time. [default: all]",
     )
-    seed: Annotated[int, Within(0, 1e18, "")] = option(
-        1, "Seed that draws the random scans of a file.", "--sample-seed"
-    )
+    seed: Annotated[int, Within(0, 1e18, "")] = 1  #: that draws them
 
     def of(self, count: int, name: str, most: int | None = None) -> list[int]:
         """Indices of the scans, of `count` in the file called `name`; ConfigError if there is none.

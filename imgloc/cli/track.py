@@ -150,7 +150,7 @@ def track(
     outputs: Outputs,
     drawn: Drawn,
     mounting: Mounting,
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     logs: Logs,
     taken: opt.Resources,
     as_json: opt.AsJson = False,

@@ -10,7 +10,7 @@ from imgloc.cli.command import Only, Without
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import NAMED, Known, Logs, Mounting, Sure
+from imgloc.options import NAMED, Known, Mounting, Sure
 from imgloc.ranges import option
 
 FAILED_ROWS = 5
@@ -25,7 +25,7 @@ def which(
     ),
     known: Annotated[Known, Without("near", "sd")],
     reading: opt.MapFrame,
-    logs: Logs,
+    logs: opt.LogTaken,
     taken: opt.Resources,
     scans_path: Path | None = option(
         None,

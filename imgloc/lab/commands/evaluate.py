@@ -36,8 +36,7 @@ _SIMULATED, _RECORDED = "evaluate without --scans", "evaluate --scans"
 _OF = {
     **dict.fromkeys(("--rays", "--fov-deg", "--sigma", "--outliers", "--dropped"), (_SIMULATED,)),
     **dict.fromkeys(("--clearance", "--sensor", "-n", "--count", "--seed"), (_SIMULATED,)),
-    **dict.fromkeys(("--flipped", "--range-scale", "--scans-index"), (_RECORDED,)),
-    **dict.fromkeys(("--sample", "--sample-seed"), (_RECORDED,)),
+    **dict.fromkeys(("--flipped", "--range-scale", "--scans-index", "--sample"), (_RECORDED,)),
 }
 
 
