@@ -23,8 +23,8 @@ CURVED = MAPS / "curved.yaml"
 OFF = "--no-cache"
 QUICK = ["--method", "fused,ght-v", "--threads", 1]
 KEYS = ["map", "method", "trials", "index", "index_box", "index_calibrated", "outside", "exact"]
-KEYS += ["near", "success", "position", "heading", "verdicts", "unit", "work", "stack_bytes"]
-KEYS += ["features_bytes", "cost", "lattice", "source", "parameters"]
+KEYS += ["near", "success", "position", "heading", "verdicts", "cost"]
+KEYS += ["lattice", "source", "parameters"]
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +79,6 @@ def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
     calibration = votes["parameters"]["calibration"]
     assert calibration == dataclasses.asdict(DEFAULTS["ght-v"])
     assert votes["lattice"]["theta_step"] == pytest.approx(np.deg2rad(30))  # the paper's
-    assert votes["stack_bytes"] == 4 * votes["lattice"]["poses_box"]
-    assert votes["cost"]["ns_per_unit"] > 0
     assert votes["parameters"]["method"] == "ght-v"
 
 

@@ -129,13 +129,13 @@ def evaluate(
                 known = calibrated(plan, path, grid)
                 if file is None:  # scans simulated in the map have no error of its scale
                     known = replace(known, shared=plan.shared)
-                # Their bytes are part of the row, so no other method may have used them.
+                # What one method makes of the map is not held while another is measured.
                 features = desk.features(
                     path, read, known, cell=cell, scans=trials.scans, fresh=True
                 )
                 plans.append((known, features))
             rows = []
-            while plans:  # what a method has made of the map goes with it
+            while plans:
                 known, features = plans.pop(0)
                 with progress(f"{name}: {known.method}", len(trials), lines=False) as advance:
                     found = evaluation.evaluate(
