@@ -487,11 +487,11 @@ class Options(Checked):
 
     @property
     def model(self) -> EvidenceModel:
-        """The parameters of the score, on walls that are as bent as `shared` says."""
+        """The parameters of the score, on walls as bent as in `shared`."""
         return self.fused.model.bending(self.shared.bent, self.fused.bending)
 
     def listed(self, share: "FloatArray") -> int:
-        """How many hypotheses of these shares (M,), in their order, are listed.
+        """Number of hypotheses that are listed, of these shares (M,), in their order.
 
         Examples
         --------

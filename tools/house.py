@@ -44,9 +44,9 @@ LIMITS: Mapping[str, tuple[int, int]] = {
     "options of all commands": (432, 250),
     "numbers": (333, 150),
     "numbers that nobody measured": (212, 40),
-    "docstrings that begin with What, Whether, How, Of": (62, 0),
-    "docstrings in which things say or tell": (116, 0),
-    "chains of three of": (8, 0),
+    "docstrings that begin with What, Whether, How, Of": (15, 0),
+    "docstrings in which things say or tell": (16, 0),
+    "chains of three of": (3, 0),
 }
 """What is counted: the limit, which is red above and only falls, and the goal."""
 _BEGINS = re.compile(r"(What|Whether|How|Of)\b")

@@ -161,11 +161,11 @@ def track(
 
     A line for each scan: unique (the pose is given), ambiguous (several places fit) or lost (no
     known place fits). No pose is given unless it is unique; the last one is never repeated.
-    A scan that says nothing gives none either, "ambiguous: blind": it has no readings, the lens is
-    covered, or it is the last scan again. "ambiguous: wide": the standard deviation of the pose is
-    above --max-sd. "ambiguous: unconfirmed": one place holds the mass, but too few scans agree yet.
-    Poses are those of the robot's base in the map frame; of the sensor where neither the log nor
-    --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
+    A scan without information gives none either, "ambiguous: blind": it has no readings, the lens
+    is covered, or it is the last scan again. "ambiguous: wide": the standard deviation of the pose
+    is above --max-sd. "ambiguous: unconfirmed": one place holds the mass, but too few scans agree
+    yet. Poses are those of the robot's base in the map frame; of the sensor where neither the log
+    nor --sensor has its place. Several lasers are followed together (--topic /front,/rear).
     """
     from imgloc.answers.diagnose import bent_walls
     from imgloc.answers.logcheck import FOLLOWED, doubt_of_log
@@ -270,7 +270,7 @@ def _true_at(
 def _aged(
     grid: "OccupancyGrid", scans: "ScanSet", moments: "Sequence[Moment]", shared: Shared
 ) -> str | None:
-    """A line that says that the map has aged, by the scans whose poses were unique; or None.
+    """A sentence about a map that has aged, by the scans whose poses were unique; or None.
 
     Scans of a log that is still being written are not kept.
     """

@@ -54,7 +54,7 @@ def which(
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
 
-    A coarse look at all maps tells which of them the scan can fit; in these it is located.
+    A coarse look at all maps shows which of them the scan can fit; in these it is located.
     Evidence is the likelihood averaged over all poses of a map, so that a large map does not win
     by having more places. The answer is none if the scan fits badly. With three maps or more
     it is also none if the best fits hardly better than the third. Of fewer than five maps, one is

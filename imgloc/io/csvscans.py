@@ -152,9 +152,9 @@ def _unpacked(body: list[Row]) -> list[Row]:
 
 
 def role_of(name: str) -> tuple[str, int, float]:
-    """What a column holds by its lower-case name, its number among its like, and its unit in SI.
+    """Role of a column by its lower-case name, its number among its like, and its unit in SI.
 
-    It is ``ranges`` for a column of a scan a line, empty if the name tells nothing.
+    It is ``ranges`` for a column of a scan a line, empty if the name is no hint.
     """
     name = name.lower()
     if found := _RANGES.fullmatch(name):
@@ -309,7 +309,7 @@ class _Table:
         return collect(entries, self.name, self.bad)
 
     def _rises(self) -> bool:
-        """Whether the first column is a time: it rises from line to line, and the next does not."""
+        """Return whether the first column is a time: it rises by lines, and the next does not."""
         table = np.array([row[:2] for _, row in self.rows])
         if len(table) < 2 or table.shape[1] < 2 or np.isnan(table[:, 0]).any():
             return False

@@ -289,7 +289,7 @@ def fit_along(
 ) -> SharedFit:
     """Fit the walls of a map that others drew from scans that odometry joins.
 
-    No scan needs to fit the map by itself. Evenly picked scans tell together whether the walls are
+    No scan needs to fit the map by itself. Evenly picked scans show together whether the walls are
     too thick, or bent: :func:`~imgloc.search.adapt.walls_of`. The tracker then follows the robot
     with these walls from anywhere. The misfit that is usual here is the median over the scans whose
     poses are ``unique`` along the way.
@@ -353,7 +353,7 @@ def fit_depth(
     Readings that end alike before and behind the border of a wall's cells have a depth of 0: the
     map is sharp. On a map that scans made, they end within the blurred band. Each scan is placed
     with the scale and the walls in `options`. The result is the median over the ``unique`` scans,
-    and its standard error, metres. A ConfigError says if they are fewer than :data:`LEAST_FIT`.
+    and its standard error, metres. A ConfigError if they are fewer than :data:`LEAST_FIT`.
     """
     options = replace(options or Options(), top=1)
     shared = replace(options.shared, depth=None)
@@ -379,7 +379,7 @@ def _middle(values: FloatArray) -> tuple[float, float]:
 
 
 def _enough(fit: int, asked: int) -> None:
-    """Raise a ConfigError if too few scans fit to tell an error that they share."""
+    """Raise a ConfigError if too few scans fit to find an error that they share."""
     if fit < LEAST_FIT:
         raise ConfigError(
             f"{fit} of {asked} scans fit this map at one place, expected at least {LEAST_FIT} to "

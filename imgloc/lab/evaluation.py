@@ -154,7 +154,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class Lattice:
-    """The lattice of the poses that a method tells apart."""
+    """The lattice of the poses that a method distinguishes."""
 
     cell: float  #: side of a cell, metres
     theta_step: float  #: step between headings, radians

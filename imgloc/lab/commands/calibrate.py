@@ -101,7 +101,7 @@ def calibrate(
     as floor plans do; and how far behind the border of the walls readings end (0 on a sharp map,
     some centimetres on a map made from scans). The method fused then starts from these.
 
-    If others drew the map and no scan fits by itself, give scans with odometry. Together they tell
+    If others drew the map and no scan fits by itself, give scans with odometry. Together they show
     how thick and how bent the walls are, and how well scans fit this map at their best.
     """
     from imgloc.cli import inputs

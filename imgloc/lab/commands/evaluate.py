@@ -88,7 +88,7 @@ def evaluate(
 
     S is the paper's performance index (eq. 12). It compares the density at the true pose with a
     uniform density: S is the mean logarithm of their ratio. At 0 a method knows nothing; at S max
-    it is certain of one cell of a lattice of poses. "S calibrated" is the S of the posterior that
+    it is certain of one cell in a lattice of poses. "S calibrated" is the S of the posterior that
     localize uses (see `imgloc calibrate`). For fused, S is that of Gaussians and may be above
     S max; its S calibrated is on the lattice. "S all cells" includes walls and unknown space. "at
     floor" counts the trials whose density is at most 0.001 of a uniform one; "not free" those whose
