@@ -113,7 +113,6 @@ def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> No
 def test_range_max_cuts_recorded_readings(scans: Path) -> None:
     words = (CURVED, "--scans", scans, "--method", "cbml", "--cell", 0.2)
     (whole,), (short,) = evaluated(*words), evaluated(*words, "--range-max", 2)
-    assert short["work"] < whole["work"]
     assert short["source"]["range_max"] == 2
     assert short["index"]["value"] < whole["index"]["value"]
 
@@ -157,7 +156,7 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
     lines = shown.decode().splitlines()
     assert max(map(len, lines)) <= 80
     assert sum(line.startswith("| curved | fused ") for line in lines) > 3
-    for name in ("unique, wrong", "features MiB", "within 1 cell %"):
+    for name in ("unique, wrong", "stack ms", "within 1 cell %"):
         assert sum(name in line for line in lines) == 1
 
 
