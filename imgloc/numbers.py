@@ -1,8 +1,8 @@
 """The numbers that were fitted or chosen by measurement, with their sources: ``numbers.json``.
 
 Each number has a line: its value, its unit, its source, and what it costs to leave it out. A source
-says by which command, on which data and when. A literal that is left in the code is mathematics, a
-unit, a bound of memory that no answer depends on, or says why it is there.
+is by which command, on which data and when. A literal that is left in the code is mathematics, a
+unit, a bound of memory that no answer depends on, or has the reason beside it.
 
 >>> number("Trust.mass"), number("FusedOptions.keep")
 (0.9, (1500, 4000, 4000, 16000))

@@ -487,11 +487,11 @@ class Options(Checked):
 
     @property
     def model(self) -> EvidenceModel:
-        """The parameters of the score, on walls that are as bent as `shared` says."""
+        """The parameters of the score, on walls as bent as in `shared`."""
         return self.fused.model.bending(self.shared.bent, self.fused.bending)
 
     def listed(self, share: "FloatArray") -> int:
-        """How many hypotheses of these shares (M,), in their order, are listed.
+        """Number of hypotheses that are listed, of these shares (M,), in their order.
 
         Examples
         --------
@@ -694,12 +694,9 @@ class Chosen(Checked):
     )
     sample: Count | None = option(
         None,
-        "Take only N scans of a file, drawn at random; a seed always draws the same ones. "
-        "[default: all]",
+        "Take only N scans of a file, drawn at random: the same ones each time. [default: all]",
     )
-    seed: Annotated[int, Within(0, 1e18, "")] = option(
-        1, "Seed that draws the random scans of a file.", "--sample-seed"
-    )
+    seed: Annotated[int, Within(0, 1e18, "")] = 1  #: that draws them
 
     def of(self, count: int, name: str, most: int | None = None) -> list[int]:
         """Indices of the scans, of `count` in the file called `name`; ConfigError if there is none.
@@ -919,14 +916,10 @@ class Sensor(Checked):
         check_mount(self.mount, "`sensor`")
 
 
-FILTERS = ("tracker", "grid", "particle")
-
-
 @dataclass(frozen=True)
 class Followed(Checked):
     """The way in which a robot is followed."""
 
-    filter: Annotated[str, OneOf(*FILTERS)] = option("tracker", "Filter that follows the robot.")
     every: Every = option(
         Every(),
         "Weigh all places by a scan each time the robot has gone M metres or turned DEG degrees; "
@@ -942,4 +935,3 @@ class Followed(Checked):
         metavar="M,DEG",
         parse=lambda text: Limits(*metres_degrees(text)),
     )
-    seed: Seed = 0

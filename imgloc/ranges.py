@@ -81,7 +81,7 @@ class OneOf:
 
 
 class Matches:
-    """A text of at most so many characters that matches a pattern; `words` say what it is."""
+    """A text of at most so many characters that matches a pattern; `words` describe it."""
 
     def __init__(self, pattern: str, most: int, words: str) -> None:
         self.pattern, self.most, self.words = pattern, most, words
@@ -119,15 +119,15 @@ class Option(Doc):
     ----------
     text : str
         What the option does; it stands on its own, with the unit. ``[default: ...]`` at its end
-        says what is used if the option is left out, unless the default of the field says it.
+        is what is used if the option is left out, unless the field has a default.
     *names : str
         How it is written; by default the name of the field. A name without dashes in front is that
         of an argument. An angle whose name ends in ``-deg`` is typed in degrees, kept in radians.
     metavar : str, optional
         What stands for the value in the help; by default a letter for the unit.
     parse : callable, optional
-        Makes the value of the text that was typed, or raises a ConfigError that says what it got
-        and what it expected; by default the type of the field does.
+        Makes the value of the text that was typed, or raises a ConfigError with what it got
+        and expected; by default the type of the field does.
     joined : bool
         The option may be repeated: its texts are joined by commas.
     """

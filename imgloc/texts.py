@@ -1,6 +1,6 @@
 """The values of options as they are typed: numbers, angles, poses, bytes, names.
 
-Each function makes a value of a text, or raises a ConfigError that says what it got and expected.
+Each function makes a value of a text, or raises a ConfigError with what it got and expected.
 """
 
 import math

@@ -12,9 +12,9 @@ import pytest
 from command import MAPS, call, rows
 
 from imgloc.errors import ConfigError
-from imgloc.filters.choose import make_filter
 from imgloc.filters.follow import follow
 from imgloc.filters.motion import noisy_odometry
+from imgloc.filters.tracker import Tracker
 from imgloc.io.cache import cache_limit
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
@@ -168,7 +168,7 @@ def test_odometry_that_starts_late_costs_only_the_scans_before_it(
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
     features = prepare(load_map(MAP))
     with caplog.at_level(logging.WARNING):
-        moments = list(follow(features, got, make_filter("tracker", features, Options())))
+        moments = list(follow(features, got, Tracker(features, Options())))
     assert [moment.index for moment in moments] == [3, 4, 5]
     assert said in caplog.text
 
@@ -194,7 +194,7 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
     both = ("--resolution", 2 * resolution, "--scans-index", 0)
     assert f"resolution {resolution:g} there" in call("localize", image, log, *both).err
     same = ("--resolution", resolution, "--origin", "-12.5,-8,0", "--scans-index", 0)
-    assert "is ignored" not in call("localize", image, log, *same, "--negate").err
+    assert "is ignored" not in call("map", "check", image, *same[:4], "--negate").out
     (tmp_path / MAP.name).unlink()
     assert "frame" not in call("localize", image, log, *same[:2], "--scans-index", 0).err
 
@@ -212,7 +212,7 @@ def test_unknown_cells_that_count_as_free_are_said(
         assert err.count(said) == 1, (name, err)
         assert "0.196 keeps them unknown" in err
     assert said in call("map", "check", path).out
-    assert said not in call("localize", path, log, "--scans-index", 0, "--free-thresh", 0.196).err
+    assert said not in call("map", "check", path, "--free-thresh", 0.196).out
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
     with caplog.at_level(logging.WARNING):
         load_map(path)

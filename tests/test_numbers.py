@@ -35,8 +35,7 @@ LEFT = {
     ),
 }
 FITTED = (
-    "EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise", "GridOptions",
-    "ParticleOptions",
+    "EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise",
 )  # fmt: skip
 
 

@@ -41,12 +41,12 @@ LIMITS: Mapping[str, tuple[int, int]] = {
     f"functions of more than {LONG} lines": (0, 0),
     "modules of imgloc that a file imports, median": (6, 6),
     "arrows back up": (0, 0),
-    "options of all commands": (489, 250),
-    "numbers": (363, 150),
-    "numbers that nobody measured": (242, 40),
-    "docstrings that begin with What, Whether, How, Of": (62, 0),
-    "docstrings in which things say or tell": (117, 0),
-    "chains of three of": (8, 0),
+    "options of all commands": (432, 250),
+    "numbers": (333, 150),
+    "numbers that nobody measured": (212, 40),
+    "docstrings that begin with What, Whether, How, Of": (15, 0),
+    "docstrings in which things say or tell": (16, 0),
+    "chains of three of": (3, 0),
 }
 """What is counted: the limit, which is red above and only falls, and the goal."""
 _BEGINS = re.compile(r"(What|Whether|How|Of)\b")

@@ -61,7 +61,7 @@ class Given:
         return replace(self, calibration=file, uncalibrated=shared)
 
     def calibrated(self, shared: Shared, keys: Sequence[str]) -> str:
-        """Words that name the calibration file, and what it says of some keys of `shared`.
+        """Words that name the calibration file, and its values of some keys of `shared`.
 
         They end with what mends it. They are empty if the file does not decide any of these keys.
 

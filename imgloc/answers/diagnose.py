@@ -70,7 +70,7 @@ def doubts(
     Returns
     -------
     list of Cause
-        At most one; none if at least half of the scans fit, unless they do so as :func:`bent` says.
+        At most one; none if at least half of the scans fit, unless they do so as in :func:`bent`.
     """
     given, bent_ = given or Given(), bent(said, options.shared, features.grid.resolution)
     if (cell := features.grid.resolution) >= 1:

@@ -1,8 +1,8 @@
-"""Why an answer is what it is: what each ray says, and the likelihoods that proposed.
+"""Why an answer is what it is: the fit of each ray, and the likelihoods that proposed.
 
 In the paper a scan point and a map point vote only if their normals agree (Alg. 4) and the map
 lets the ray through (Alg. 5, l. 5). The same two vetoes, asked of a pose that has been found
-already, tell why it is right, or wrong. The numbers behind the verdict are the answer's evidence.
+already, are why it is right, or wrong. The numbers behind the verdict are the answer's evidence.
 
 >>> from imgloc.model import LaserScan, OccupancyGrid
 >>> from imgloc.pipeline import localize, prepare
@@ -179,7 +179,7 @@ def explain(
 def explain_rays(
     pose: Pose2D, scan: LaserScan, features: MapFeatures, model: EvidenceModel
 ) -> RayFit:
-    """Say what each ray of a scan says about a pose of the sensor, grid frame.
+    """Judge each ray of a scan at a pose of the sensor, grid frame.
 
     The questions about surface and wall are those of
     :func:`~imgloc.search.rescore.score_poses`, with the same `model`. That of the normals is not
@@ -294,7 +294,7 @@ def faced(
 def layer_of(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:
     """The likelihood of what proposes, or the stack itself of another method.
 
-    The scan has at least one valid reading. What a picture may take of memory the options say.
+    The scan has at least one valid reading. The options have the memory that a picture may take.
     """
     method = options.method
     if method == FUSED:

@@ -83,7 +83,7 @@ def fit_at(
     shared: Shared | None = None,
     settle: bool = False,
 ) -> PoseFit:
-    """Score one pose by the default method, and say what each ray says of it.
+    """Score one pose by the default method, and judge each ray there.
 
     Parameters
     ----------

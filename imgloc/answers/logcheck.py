@@ -141,7 +141,7 @@ def on_map(
     report: LogReport, scans: ScanSet, features: MapFeatures, options: Options,
     given: Given | None = None,
 ) -> LogReport:  # fmt: skip
-    """The report, with what the map tells: whether scans and poses fit it, and how much is new.
+    """The report, with the findings on a map: whether scans and poses fit it, and how much is new.
 
     A few scans are located; what keeps them from fitting is tried.
     """
@@ -198,7 +198,7 @@ def doubt_of_log(
 ) -> Cause | None:  # fmt: skip
     """Say what most likely keeps a robot from being followed through a log; None if nothing is.
 
-    What the scans and the odometry tell without a map comes first if it keeps scans from fitting
+    Findings of scans and odometry without a map come first if it keeps scans from fitting
     any map. Then a few scans are located: either they do not fit this map, or the `start` (map
     frame), the odometry or the place of the sensor is wrong. `followed` is the share of the scans
     with a unique pose along the way: if it is not small, a map that they do not fit is an old one.
@@ -491,7 +491,7 @@ def _about_repeats(scans: ScanSet, path: FloatArray | None, findings: list[Cause
 
 
 def _about_lasers(scans: ScanSet, findings: list[Cause]) -> None:
-    """Several lasers in one file, by their rays, that do not say where they sit."""
+    """Several lasers in one file, by their rays, whose places are not in it."""
     kinds = Counter[tuple[int, float]]()
     for scan in scans.scans:
         steps = np.abs(np.diff(scan.angles))

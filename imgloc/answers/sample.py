@@ -28,7 +28,7 @@ def sample_poses(
     Parameters
     ----------
     scan : LaserScan
-        With too few readings, or readings that say nothing, poses are drawn from everywhere.
+        With too few readings, or readings without information, poses are drawn from everywhere.
     options : Options, optional
         ``fused`` draws around all that it finds, listed or not, the others from their stack.
 

@@ -1,7 +1,7 @@
 """Agreement of scans and odometry of a log: what a scan sees lies where an earlier one saw it.
 
 No map is needed. Two scans are laid over each other as the odometry moved the sensor between them;
-the share of the readings that fall on each other tells how well that went. If it is small, the same
+the share of the readings that fall on each other is the agreement. If it is small, the same
 is tried with what is often wrong: a sensor upside down or turned, other units, odometry that lags.
 """
 
@@ -205,7 +205,7 @@ def _share(
 ) -> float:
     """The lesser of two medians: of the pairs that turned most, and of those that went farthest.
 
-    Turns tell of angles, and ways of lengths. `scan` gives the scan of an index.
+    Turns show errors of angles, and ways those of lengths. `scan` gives the scan of an index.
     """
     moved = way.odom(odom)
     steps = [compose(inverse(wrapped_pose(*odom[i])), wrapped_pose(*odom[j])) for i, j in pairs]

@@ -71,14 +71,14 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
 
 
 def tried_of(scans: ScanSet) -> ScanSet:
-    """The scans of a file that tell whether its poses are true: a few, in even steps."""
+    """The scans of a file by which its poses are judged: a few, in even steps."""
     return scans.take(evenly(len(scans), _SCANS).tolist())
 
 
 def with_true_poses(
     scans: ScanSet, grid: OccupancyGrid, name: str, tried: ScanSet | None = None
 ) -> ScanSet:
-    """The scans, without their poses and with a warning if :func:`poses_fit` says that they do not.
+    """The scans, without their poses and with a warning if by :func:`poses_fit` they do not fit.
 
     Poses are true, too, if the scans fit there in another unit, or turned over. `name` is that of
     the file, for the warning. `tried` are :func:`tried_of` the whole file, of which `scans` may be

@@ -29,6 +29,8 @@ from imgloc.texts import WITH_COMMAS
 GONE: Mapping[str, str] = {
     **dict.fromkeys(("mode", "occupied-thresh", "free-thresh", "negate", "no-negate", "semantics"),
                     "imgloc map check MAP with it and with --write YAML makes a YAML that has it"),
+    **dict.fromkeys(("max-bad", "straighten", "height", "odom", "odometry"),
+                    "imgloc convert LOG scans.npz with it makes a file that needs none"),
 }  # fmt: skip
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (

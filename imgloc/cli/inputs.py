@@ -172,7 +172,7 @@ def check_prior(known: Known, region: Path | None, features: MapFeatures, option
 def aged_words(
     grid: OccupancyGrid, sure: Sequence[tuple[LaserScan, Pose2D]], shared: Shared
 ) -> str | None:
-    """A line that says that a map has aged, by scans whose sensors' poses are sure; or None.
+    """A sentence about a map that has aged, by scans whose sensors' poses are sure; or None.
 
     Rays also pass walls that others drew too thick or bent, so nothing is said of such a map.
     """

@@ -35,7 +35,7 @@ def inspect(
     ),
     logs: Logs,
     mounting: Mounting,
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     as_json: opt.AsJson = False,
     picture: Path | None = option(
         None,

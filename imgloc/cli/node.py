@@ -1,4 +1,4 @@
-"""`imgloc node`: a ROS 2 node that says where a robot is."""
+"""`imgloc node`: a ROS 2 node that locates a robot."""
 
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ def node(
     """Run a ROS 2 node that finds the robot on the map and publishes its first pose.
 
     The pose goes to /initialpose once scans along some way confirm one place. The topics
-    ~/hypotheses, ~/markers, ~/status and /diagnostics say what is found until then. The services
+    ~/hypotheses, ~/markers, ~/status and /diagnostics show what is found until then. The services
     ~/localize, ~/reset and /reinitialize_global_localization ask for a new pose. Every parameter
     can also be set by ROS: --ros-args -p every:=1.0 -p use_sim_time:=true -r scan:=/front/scan.
     """

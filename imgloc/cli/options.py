@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from imgloc.cli.command import Given, Without
+from imgloc.cli.command import Given, Only, Without
 from imgloc.errors import ConfigError, MapError
-from imgloc.options import Count, HeadingStep, MemoryBudget, Reading, Tolerance
+from imgloc.options import Count, HeadingStep, Logs, MemoryBudget, Reading, Tolerance
 from imgloc.ranges import Option, option
 from imgloc.texts import metres_degrees
 
@@ -149,6 +149,10 @@ class MapImages(Reading, total=False):
 MapFrame = Annotated[
     MapImages, Without("mode", "semantics", "occupied_thresh", "free_thresh", "negate")
 ]
+
+
+#: Where `imgloc convert` makes a file that needs no other of these options.
+LogTaken = Annotated[Logs, Only("topic", "fov", "scale", "range_max")]
 
 
 def refuse_others(given: Given, ways: Mapping[str, Sequence[str]], way: set[str]) -> None:

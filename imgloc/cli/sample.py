@@ -9,7 +9,7 @@ from imgloc.cli.command import Only
 from imgloc.cli.console import LOG, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import FUSED, Cell, Chosen, Count, Logs, Mounting, Options, Seed
+from imgloc.options import FUSED, Cell, Chosen, Count, Mounting, Options, Seed
 from imgloc.ranges import option
 
 _MOST = 10_000_000  # poses in all
@@ -22,7 +22,7 @@ def sample(
     out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
     search: Annotated[Options, Only("method", "theta_step")],
     reading: opt.MapFrame,
-    logs: Logs,
+    logs: opt.LogTaken,
     chosen: Chosen,
     taken: opt.Resources,
     count: Count = option(500, "Poses that are drawn for each scan.", "-n", "--count"),

@@ -22,8 +22,7 @@ from imgloc.texts import pose
 if TYPE_CHECKING:
     from imgloc.cli.live import Live
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.filters.belief import Filter
-    from imgloc.filters.follow import Moment, Tracking
+    from imgloc.filters.follow import Moment
     from imgloc.filters.watch import Opinion
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, OccupancyGrid
@@ -151,7 +150,7 @@ def track(
     outputs: Outputs,
     drawn: Drawn,
     mounting: Mounting,
-    reading: opt.MapImages,
+    reading: opt.MapFrame,
     logs: Logs,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
@@ -162,18 +161,19 @@ def track(
 
     A line for each scan: unique (the pose is given), ambiguous (several places fit) or lost (no
     known place fits). No pose is given unless it is unique; the last one is never repeated.
-    A scan that says nothing gives none either, "ambiguous: blind": it has no readings, the lens is
-    covered, or it is the last scan again. "ambiguous: wide": the standard deviation of the pose is
-    above --max-sd. "ambiguous: unconfirmed": one place holds the mass, but too few scans agree yet.
-    Poses are those of the robot's base in the map frame; of the sensor where neither the log nor
-    --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
+    A scan without information gives none either, "ambiguous: blind": it has no readings, the lens
+    is covered, or it is the last scan again. "ambiguous: wide": the standard deviation of the pose
+    is above --max-sd. "ambiguous: unconfirmed": one place holds the mass, but too few scans agree
+    yet. Poses are those of the robot's base in the map frame; of the sensor where neither the log
+    nor --sensor has its place. Several lasers are followed together (--topic /front,/rear).
     """
     from imgloc.answers.diagnose import bent_walls
     from imgloc.answers.logcheck import FOLLOWED, doubt_of_log
     from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
     from imgloc.filters.deviation import deviation_of
-    from imgloc.filters.follow import Tracking, follow
+    from imgloc.filters.follow import follow
+    from imgloc.filters.tracker import Tracker
     from imgloc.io.calibration import calibrated
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
@@ -191,10 +191,9 @@ def track(
     features = desk.features(map_path, maps, options, scans=scans.scans)
     check_options(features, options)
     scans = with_true_poses(scans, grid, inputs.name_of(log))
-    tracking = Tracking(**vars(followed))
-    chosen = _made(tracking, features, options, map_name(map_path))
+    chosen = Tracker(features, options)
     run = follow(
-        features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
+        features, live or scans, chosen, every=followed.every, limits=followed.limits,
         start=asked.start, name=inputs.name_of(log),
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
@@ -229,19 +228,6 @@ def track(
         LOG.warning("%s", said)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
-
-
-def _made(
-    tracking: "Tracking", features: "MapFeatures", options: Options, name: str
-) -> "Filter":  # fmt: skip
-    """The filter; a warning if no pose of it can be ``unique`` on the map of this name."""
-    made = tracking.made(features, options)
-    if made.unsure:
-        LOG.warning(
-            "%s: %s, so no pose of --filter %s is unique; the tracker allows for it, and --bent 0 "
-            "says that walls are straight", name, made.unsure, tracking.filter,
-        )  # fmt: skip
-    return made
 
 
 def _truth_of(
@@ -284,7 +270,7 @@ def _true_at(
 def _aged(
     grid: "OccupancyGrid", scans: "ScanSet", moments: "Sequence[Moment]", shared: Shared
 ) -> str | None:
-    """A line that says that the map has aged, by the scans whose poses were unique; or None.
+    """A sentence about a map that has aged, by the scans whose poses were unique; or None.
 
     Scans of a log that is still being written are not kept.
     """

@@ -10,7 +10,7 @@ from imgloc.cli.command import Only, Without
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import NAMED, Known, Logs, Mounting, Sure
+from imgloc.options import NAMED, Known, Mounting, Sure
 from imgloc.ranges import option
 
 FAILED_ROWS = 5
@@ -25,7 +25,7 @@ def which(
     ),
     known: Annotated[Known, Without("near", "sd")],
     reading: opt.MapFrame,
-    logs: Logs,
+    logs: opt.LogTaken,
     taken: opt.Resources,
     scans_path: Path | None = option(
         None,
@@ -54,7 +54,7 @@ def which(
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
 
-    A coarse look at all maps tells which of them the scan can fit; in these it is located.
+    A coarse look at all maps shows which of them the scan can fit; in these it is located.
     Evidence is the likelihood averaged over all poses of a map, so that a large map does not win
     by having more places. The answer is none if the scan fits badly. With three maps or more
     it is also none if the best fits hardly better than the third. Of fewer than five maps, one is

@@ -28,7 +28,7 @@ def available_bytes(
 ) -> int:
     """Bytes of RAM that can be taken without anything being swapped out.
 
-    On Linux what the kernel says is available (`meminfo`), or what the container's limit leaves if
+    On Linux what is available by the kernel (`meminfo`), or what the container's limit leaves if
     that is less (`cgroup`); elsewhere half of the RAM; :data:`UNKNOWN_RAM` if nothing is known.
     """
     free = []

@@ -44,7 +44,7 @@ def _on(scan: LaserScan, floor: Floor, width: float = _WIDTH) -> BoolArray:
 
 
 def _depth(ranges: FloatArray, angles: FloatArray, floor: Floor) -> FloatArray:
-    """How far readings reach in the direction of a floor, metres."""
+    """Reach of readings in the direction of a floor, metres."""
     is_circle = math.isnan(floor.direction)
     return np.asarray(ranges * (1 if is_circle else np.cos(angles - floor.direction)))
 

@@ -2,7 +2,7 @@
 
 Along a wall the gradient of the blurred occupancy *is* the blurred surface times its normal; the
 structure tensor averages the staircase of the cells away. It knows an axis only: which end is the
-normal (alpha is mod 2 pi) says the sign of the gradient, out of the wall into free space.
+normal (alpha is mod 2 pi) has the sign of the gradient, out of the wall into free space.
 """
 
 import cv2

@@ -52,7 +52,7 @@ class MapFeatures:
     grid : OccupancyGrid
         The map.
     cell : float
-        Side of a cell of the lattice of poses, of bmap, vmap and the ray-distance stack, metres;
+        Side of a cell in the lattice of poses, in bmap, vmap and the ray-distance stack, metres;
         rounded to a multiple of the map's own cells.
     sigma, sigma_endpoint : float
         Standard deviations, metres: of the kernel K that blurs bmap and vmap, and of an endpoint's

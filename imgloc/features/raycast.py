@@ -1,6 +1,6 @@
 """Ray casting ``r_m(x, y, psi)`` by sphere tracing on a distance image.
 
-The distance image says how far a ray may jump without missing a wall; next to one it walks from
+By the distance image a ray jumps as far as it misses no wall; next to one it walks from
 cell border to cell border: exact, a reading ends where it enters the square of an occupied cell.
 """
 

@@ -220,7 +220,7 @@ def scan_xy(scan: LaserScan) -> FloatArray:
 
 
 def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray, IntArray]:
-    """Index of the first and the last ray of the surface that each ray of (N,) met."""
+    """First and last ray, by index, on the surface that each of (N,) rays met."""
     gap = np.diff(phi)
     jump = np.abs(np.diff(rho))
     near = np.minimum(rho[1:], rho[:-1])

@@ -1,4 +1,4 @@
-"""How far a trajectory is from the true one: APE and RPE as the program evo defines them."""
+"""Deviation of a trajectory from the true one: APE and RPE as the program evo defines them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

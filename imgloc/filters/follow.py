@@ -10,7 +10,6 @@ import numpy as np
 from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
-from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import (
     Way,
@@ -22,7 +21,7 @@ from imgloc.filters.motion import (
 )
 from imgloc.filters.repeats import Repeats, dragged, frozen, smooth
 from imgloc.filters.scanodometry import ScanOdometry
-from imgloc.filters.tracker import TrackerOptions
+from imgloc.filters.tracker import Tracker, TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D, Protection
@@ -100,12 +99,8 @@ class Tracking(Followed):
 
     def follower(self, features: MapFeatures, options: Options, name: str = "log") -> "Follower":
         """Make the follower that takes the scans of one robot; errors call the log `name`."""
-        made = self.made(features, options)
+        made = Tracker(features, options)
         return Follower(features, made, every=self.every, limits=self.limits, name=name)
-
-    def made(self, features: MapFeatures, options: Options) -> Filter:
-        """Make a filter that has seen nothing yet."""
-        return make_filter(self.filter, features, options, seed=self.seed)
 
 
 def follow(
@@ -127,11 +122,11 @@ def follow(
         The map.
     scans : ScanSet, or iterable of (LaserScan, (3,) array or None)
         Scans in the order of time; a ScanSet in which few scans are out of it is sorted, with a
-        warning. `laser` of each scan tells several lasers apart. An iterable yields each
+        warning. `laser` of each scan names its laser. An iterable yields each
         scan, with its stamp, and the odometry's pose at that time: metres, metres, radians.
         The next scan is taken from it after the moment of the last one has been used. Where a log
-        has no odometry, or none that moves, the scans alone tell the motion; else scans without
-        odometry are left out.
+        has no odometry, or none that moves, the motion is found by the scans alone; else scans
+        without odometry are left out.
     filter_ : Filter
         A filter made for the same features. It is changed.
     every : Every, optional
@@ -164,7 +159,7 @@ def follow(
     >>> import imgloc
     >>> from imgloc.io.maps import bundled_maps
     >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
-    >>> robot = imgloc.make_filter("tracker", features, imgloc.Options())
+    >>> robot = imgloc.Tracker(features, imgloc.Options())
     >>> driver = ((scan, np.zeros(3)) for scan in imgloc.simulate(features.grid, 2, seed=1).scans)
     >>> [moment.belief.verdict for moment in follow(features, driver, robot)]
     ['ambiguous', 'ambiguous']
@@ -190,8 +185,8 @@ BY_SCANS = "it has no odometry that moves, so the scans alone tell the motion"
 def _coming(scans: Iterable[Reading], name: str) -> _Steps:
     """Yield scans, with odometry and their index, as they come.
 
-    As long as none has had odometry, the scans alone tell the motion; later ones that lack it are
-    left out. At the end log how many.
+    As long as none has had odometry, the motion is found by the scans alone; later ones that lack
+    it are left out. At the end log how many.
     """
     left, index, by_scans = 0, -1, True
     for index, (scan, given) in enumerate(scans):
@@ -268,7 +263,7 @@ class Follower:
     >>> import imgloc
     >>> from imgloc.io.maps import bundled_maps
     >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
-    >>> robot = Follower(features, imgloc.make_filter("tracker", features, imgloc.Options()))
+    >>> robot = Follower(features, imgloc.Tracker(features, imgloc.Options()))
     >>> moment = robot.step(imgloc.simulate(features.grid, 1, seed=1)[0], np.zeros(3))
     >>> moment.index, moment.looked, moment.pose
     (0, True, None)
@@ -320,8 +315,8 @@ class Follower:
     def step(self, scan: LaserScan, odom: FloatArray | None, stamp: float | None = None) -> Moment:
         """Take a scan and the odometry's pose (3,) at its stamp: metres, metres, radians.
 
-        Without odometry the scans alone tell the motion. `stamp` is in seconds, by default the
-        scan's own.
+        Without odometry the motion is found by the scans alone. `stamp` is in seconds, by default
+        the scan's own.
 
         Raises
         ------
@@ -443,7 +438,7 @@ class Follower:
 def in_order(stamps: FloatArray, odom: FloatArray) -> tuple[list[int], FloatArray] | None:
     """The order of scans of whose stamps (N,) a few go back, and stamps that do not.
 
-    The way of the robot along the odometry (N, 3) tells whether scans or stamps are wrong: it is
+    The way of the robot along the odometry (N, 3) shows whether scans or stamps are wrong: it is
     longer in the order of wrong stamps. Then the order is empty, for that of the file, and a wrong
     stamp becomes the one before. None if the clock was set back, or the log is made of two.
 
@@ -491,7 +486,7 @@ def back_words(stamps: FloatArray, indices: Sequence[int]) -> str:
 
 
 def stamp_words(a: float, b: float) -> tuple[str, str]:
-    """Two stamps in seconds, with as many digits as tell them apart.
+    """Two stamps in seconds, with as many digits as distinguish them.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Scans that repeat an older one: a frozen driver, or a place that looks alike along the way.
 
-The map tells which: a driver is frozen if the robot has moved, the scan has not changed, and the
+The map decides which: a driver is frozen if the robot has moved, the scan has not changed, and the
 expected scan has. While the robot stands, scans with noise differ in their bits, so a driver that
 repeats one is frozen, too. A simulator without noise repeats them: no fault, and no evidence.
 """
@@ -103,7 +103,7 @@ class Repeats:
 
 
 def smooth(scan: LaserScan) -> bool:
-    """Whether a scan has no noise: a quarter of its readings are on lines of walls to the bit.
+    """Return whether a scan has no noise: a quarter of its readings lie on lines to the bit.
 
     The inverse ranges of three rays that end on one line are those of a sine wave.
 

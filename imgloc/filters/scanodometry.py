@@ -6,7 +6,7 @@ Gauss-Newton steps that refine a pose on a map. If the prediction is too vague f
 first correlated with the image at all places and headings that are likely.
 
 A Kalman filter predicts: the robot goes on with its velocity, which changes at random. Its
-prediction is the prior of the match. What no reading tells, such as the motion along a bare
+prediction is the prior of the match. What no reading shows, such as the motion along a bare
 corridor, therefore stays as predicted, and as uncertain as that.
 """
 
@@ -45,7 +45,7 @@ _REACH, _SIDE, _COARSE, _RAYS, _DEVIATIONS, _PLACES, _ALIKE = number("scanodomet
 
 @dataclass(frozen=True)
 class Motion:
-    """What a scan says of the motion of the robot since the scan before."""
+    """Motion of the robot since the scan before, by a scan."""
 
     increment: FloatArray  #: (3,) pose of the robot in its frame at the scan before: m, m, rad
     #: (3, 3) in that frame. The covariances of successive steps add up to that of the way: scans
@@ -61,7 +61,7 @@ class ScanOdometry:
     Parameters
     ----------
     options : Options, optional
-        They tell which scans are blind, and how their readings are thinned.
+        They decide which scans are blind, and how their readings are thinned.
 
     Examples
     --------

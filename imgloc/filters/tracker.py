@@ -208,8 +208,6 @@ class Tracker:
     True
     """
 
-    unsure = ""
-
     def __init__(
         self,
         features: MapFeatures,
@@ -533,7 +531,7 @@ class Tracker:
         return True
 
     def _explains(self, laser: Laser) -> bool:
-        """Whether the map explains the last scan: at one place, or at several that look alike."""
+        """Return whether the map explains the last scan: at one place or at several."""
         lost, misfit = self.how.fits
         fits = self._lost < lost and laser.last < misfit
         return (self._agreed > 0 or fits) and not self._lasers.doubted

@@ -29,7 +29,7 @@ _CHANCE: float = number("watch.chance")
 
 @dataclass(frozen=True)
 class Opinion:
-    """What is thought of the other localizer's pose."""
+    """Opinion of the other localizer's pose."""
 
     said: str = CANNOT  #: ``agrees``, ``disagrees`` or ``cannot tell``
     why: str = "no pose has come yet"
@@ -37,7 +37,7 @@ class Opinion:
     since: float = float("nan")  #: stamp from which it is said, seconds
 
     def row(self, now: float) -> dict[str, Any]:
-        """Plain values for JSON; `now`, seconds, tells for how long it is said."""
+        """Plain values for JSON; `now`, seconds, is for the time since."""
         names = ("said", "why", "pose", "since")
         return dict(plain({n: getattr(self, n) for n in names} | {"seconds": now - self.since}))
 

@@ -1,4 +1,4 @@
-"""What rosbags unpacks and parses of a bag, within bounds that it has not of its own.
+"""Bounds that rosbags lacks for what it unpacks and parses of a bag.
 
 A chunk of 6 kB may unpack to gigabytes, and YAML of 10,000 brackets takes rosbags a quarter of a
 minute. Its functions that unpack and parse are replaced by such as do what they did, but inside

@@ -173,7 +173,7 @@ def _entry(
 def bag_size(
     path: PathLike, *, topic: str | None = None, height: Height | None = None
 ) -> ScansSize:
-    """How much :func:`read_bag` would read: messages of the topic, readings of its first."""
+    """Size of what :func:`read_bag` would read: messages of the topic, readings of its first."""
     name = display(path)
     if topic is not None and len(topics := lasers_of(topic)) > 1:
         sizes = [bag_size(path, topic=t, height=height) for t in topics]
@@ -257,7 +257,7 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
 
 
 def _files(file: Path, name: str) -> tuple[Path, list[Path]]:
-    """What rosbags is to open, and the files that it will read then."""
+    """Path that rosbags is to open, and the files that it will read then."""
     if not is_folder(file):
         return file, [file]
     about = file / "metadata.yaml"

@@ -1,4 +1,4 @@
-"""Arrays that took a while to compute, kept on disk under a key that says from what.
+"""Arrays that took a while to compute, kept on disk under a key of their sources.
 
 An entry is an NPZ without compression, written beside its place and renamed, so that processes
 that share a folder see whole entries only. Its arrays are aligned and mapped into memory, not read:
@@ -64,7 +64,7 @@ def cache_folder() -> Path:
 
 
 def cache_limit() -> int:
-    """Bytes that a folder may take: :data:`LIMIT_MIB`, or what the environment says.
+    """Bytes that a folder may take: :data:`LIMIT_MIB`, or the value in the environment.
 
     ConfigError if that is no number.
     """
@@ -93,7 +93,7 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: st
     """Name what is computed from a map by this version of the program: 40 hexadecimal digits.
 
     Cells and resolution count, but not the origin: features are in the grid frame. `parameters`
-    is all else that decides the arrays (numbers, texts, None), and `code` tells versions apart
+    is all else that decides the arrays (numbers, texts, None), and `code` distinguishes versions
     beside their number. Entries of other versions go when they have not been used for an hour.
     """
     # The same call of another version of a library may round in another way.
@@ -105,7 +105,7 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: st
 
 
 def cells_digest(grid: OccupancyGrid, about: object, size: int) -> str:
-    """Digest, of so many bytes, of the cells of a map and of what `about` says (as JSON)."""
+    """Digest, of so many bytes, for the cells of a map and `about` (as JSON)."""
     digest = hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=size)
     for mask in (grid.occupied, grid.free):
         digest.update(np.packbits(mask).tobytes())

@@ -1,7 +1,7 @@
 """Calibrations of a map, in a JSON file beside it: of its methods, scale, walls and faces.
 
-The file says for which cells it was made: a map that has been redrawn since is another map, and
-what was fitted on the old one is not used.
+The file names the cells for which it was made: a map that has been redrawn since is another map,
+and what was fitted on the old one is not used.
 """
 
 import contextlib
@@ -92,7 +92,7 @@ def calibrated(
 
 
 def said_scale(map_path: PathLike) -> float:
-    """The scale that the file beside a map says, though it may be of another map; 1 without one.
+    """The scale in the file beside a map, though it may be of another map; 1 without one.
 
     To know more takes the cells of the map.
     """
@@ -107,7 +107,7 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Ca
     """Read what was fitted on a map: by method, and of its scale and walls.
 
     Nothing, for the defaults to hold, if there is no file, or it is damaged or of another map; then
-    a warning is logged that says why.
+    a warning is logged with the reason.
     """
     if not is_file(path):
         return {}, Shared()
@@ -123,7 +123,7 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Ca
 
 
 def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any, Shared]:
-    """Calibrations by method, what the file says about them, the shared error; or `_UNUSABLE`."""
+    """Calibrations by method, their entries `about`, the shared error; or `_UNUSABLE`."""
     content = _content(file)
     if content["map_hash"] != map_hash(grid):
         raise ValueError("it was made for a map with other cells")

@@ -52,7 +52,7 @@ _FLASER = (1, 6)
 
 @dataclass(frozen=True, eq=False)
 class _Message:
-    """What one line says of a laser."""
+    """Contents of a line about a laser."""
 
     where: str
     ranges: FloatArray
@@ -75,9 +75,9 @@ def read_carmen(
 
     `odom` is the robot's pose as each message holds it, or that of the ODOM lines at its time.
     If the laser's poses move against the robot's, a mapper has corrected them: they are `poses`
-    then. If not, they tell where the laser sits: `T_base_laser`. If the robot's poses never change
-    and the laser's do, the laser's are the odometry; whether they are true poses, too, the map
-    tells (:func:`imgloc.answers.truth.poses_fit`).
+    then. If not, they are the place of the laser: `T_base_laser`. If the robot's poses never change
+    and the laser's do, the laser's are the odometry; whether they are true poses, too, is up to the
+    map (:func:`imgloc.answers.truth.poses_fit`).
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def read_carmen(
     topic : str, optional
         Messages of which laser, by the word they begin with; the front laser by default.
     fov : float, optional
-        Angle from the first to the last ray, radians, of lasers that do not say it (FLASER,
+        Angle from the first to the last ray, radians, of lasers without it (FLASER,
         RLASER, Laser). 180, 181, 360 and 361 readings need none, those are SICK scanners, nor
         does a log whose parameters have ``laser_front_laser_resolution``.
     max_bad : float
@@ -138,8 +138,8 @@ class CarmenLines:
     """The scans of a CARMEN log that is still being written, each of its own line alone.
 
     Read are messages that hold the robot's pose: ``ROBOTLASER1``, ``FLASER``, and ``Laser`` after
-    ``Odometry``. Scans are those of :func:`read_carmen`, as far as a line can tell: where the laser
-    sits is what the first message says, and a stamp written with six digits for seconds since 1970
+    ``Odometry``. Scans are those of :func:`read_carmen`, as far as a line goes: the place of the
+    laser is that of the first message, and a stamp written with six digits for seconds since 1970
     is none.
 
     Parameters
@@ -238,7 +238,7 @@ def _choose(counts: Counter[str], topic: str | None, name: str) -> str:
 
 
 def _message(words: Sequence[str], where: str) -> _Message:
-    """The message of a line; a ScanError that says which word is missing or is no number."""
+    """The message of a line; a ScanError that names the word that is missing or is no number."""
     word = words[0]
     read = _ROBOT if word.startswith("ROBOTLASER") else _OTHER.get(word, _raw)
     try:
@@ -357,7 +357,7 @@ def _assemble(
     messages: Sequence[_Message], moves: Sequence[tuple[float, float, float, float]],
     parameters: dict[str, str], fov: float | None, name: str, *, rear: bool,
 ) -> ScanSet:  # fmt: skip
-    """Scans of messages, with what the whole log says of them."""
+    """Scans of messages, with the facts of the whole log."""
     side = "rear" if rear else "front"
     said = _parameter(parameters, f"robot_{side}_laser_max", name)
     reach = said or _sick_reach(messages)
@@ -405,7 +405,7 @@ def _parameter(parameters: dict[str, str], key: str, name: str) -> float | None:
 
 
 def _sick_reach(messages: Sequence[_Message]) -> float:
-    """How far the scanner reaches, by what it writes where it sees nothing."""
+    """Reach of the scanner, by what it writes where it sees nothing."""
     greatest = max(float(np.nanmax(message.ranges, initial=0.0)) for message in messages)
     return next((m for low, high, m in _SICK_REACH if low <= greatest <= high), _REACH)
 

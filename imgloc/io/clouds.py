@@ -175,7 +175,7 @@ def read_pcd(path: PathLike, *, height: Height | None = None) -> ScanSet:
 
 
 def pcd_size(path: PathLike) -> ScansSize:
-    """How much :func:`read_pcd` would read."""
+    """Size of what :func:`read_pcd` would read."""
     with open_file(path, limit=16 * MAX_READINGS, error=ScanError, what="PCD") as (_, length):
         return ScansSize(1, 2 * RAYS, 4 * length, text=True)
 
@@ -195,7 +195,7 @@ def _header(data: bytes, name: str) -> tuple[dict[str, list[str]], int]:
 
 
 def _layout(header: dict[str, list[str]], name: str) -> tuple[np.dtype[Any], int]:
-    """What a point is made of, and how many there are."""
+    """Type of a point, and number of the points."""
     try:
         fields, types = header["FIELDS"], header["TYPE"]
         sizes = [int(size) for size in header["SIZE"]]

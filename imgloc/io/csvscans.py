@@ -153,9 +153,9 @@ def _unpacked(body: list[Row]) -> list[Row]:
 
 
 def role_of(name: str) -> tuple[str, int, float]:
-    """What a column holds by its lower-case name, its number among its like, and its unit in SI.
+    """Role of a column by its lower-case name, its number among its like, and its unit in SI.
 
-    It is ``ranges`` for a column of a scan a line, empty if the name tells nothing.
+    It is ``ranges`` for a column of a scan a line, empty if the name is no hint.
     """
     name = name.lower()
     if found := _RANGES.fullmatch(name):

@@ -118,7 +118,7 @@ def open_regular(
 
 
 def is_there(path: PathLike) -> bool:
-    """Whether a path leads to anything; no also of one that may not be looked at, or is too long.
+    """Return whether a path leads to anything; no also if it may not be looked at or is too long.
 
     :meth:`pathlib.Path.exists` raises for those, as do its companions.
 

@@ -370,7 +370,7 @@ def map_png(grid: OccupancyGrid) -> bytes:
 
 
 def yaml_text(settings: MapSettings, folder: Path) -> str:
-    """The YAML, for a file in a folder, by which map_server reads an image as `settings` say."""
+    """The YAML, for a file in a folder, by which map_server reads an image with these settings."""
     said = {
         "image": Path(os.path.relpath(settings.image, folder)).as_posix(),
         "resolution": settings.resolution,
@@ -484,7 +484,7 @@ def _check_options(given: dict[str, Any]) -> None:
 
 
 def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
-    """Read the pixels of `image` as `settings` says; see :func:`load_map`."""
+    """Read the pixels of `image` by the settings; see :func:`load_map`."""
     values = np.ascontiguousarray(occupancy(image, settings)[::-1])
     # As in AMCL, 100 is a wall, 0 is free, and what lies between is unknown; but raw values are
     # occupancies in per cent, and the thresholds have not been spent on them.

@@ -55,7 +55,7 @@ class _WrongError(ValueError):
 def parse_json(data: bytes, kind: Any = object, *, strict: bool = False) -> Any:
     """The value of a JSON text of some kind; what JSON has not (NaN, Infinity) is null.
 
-    ValueError, which says where and what was expected, for whatever is not as imgloc writes it; if
+    ValueError, with the place and what was expected, for whatever is not as imgloc writes it; if
     `strict`, also for what JSON has not.
 
     Examples
@@ -102,7 +102,7 @@ def read_json(
 
 
 def _expect(value: Any, kind: Any) -> None:
-    """Raise a ValueError that says where a value is not of a kind."""
+    """Raise a ValueError with the place where a value is not of a kind."""
     try:
         _check(value, kind, _DEPTH)
     except _WrongError as e:

@@ -53,7 +53,7 @@ def plain_yaml(text: str, name: str, error: type[ImglocError], *, most: int) -> 
 
 
 def _value(loader: Any, name: str, error: type[ImglocError], most: int) -> Any:
-    """What the events of a document make."""
+    """Value that the events of a document make."""
     root: list[Any] = []
     within: list[Any] = [root]  # the lists and dicts that are open
     keys: list[Any] = []  # of the open dicts, that which waits for its value; `root` for none
@@ -106,7 +106,7 @@ def _made(loader: Any, event: Any) -> Any:
 
 
 def _unwanted(loader: Any, event: Any, is_key: bool) -> str:
-    """What is not plain about a value: mostly, that it stands for another one."""
+    """Reason why a value is not plain: mostly, that it stands for another one."""
     if event.anchor:
         kind = "alias *" if isinstance(event, yaml.AliasEvent) else "anchor &"
         return f"YAML {kind}{event.anchor[:_SHOWN]}"

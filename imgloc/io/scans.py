@@ -104,12 +104,12 @@ def load_scans(
         Share of the lines of a text, or of the messages of a bag, 0 to 1, that may be broken: they
         are left out, with a warning that names them. ScanError if there are more.
     height : (float, float), optional
-        Lowest and highest point, metres above the sensor, of the slice of a cloud of points that
+        Lowest and highest point, metres above the sensor, of a slice of a cloud of points that
         is a scan. Clouds are sensor_msgs/PointCloud2 of a bag, where there is no LaserScan or
         `topic` names them, and ``.pcd`` (:func:`~imgloc.io.clouds.read_pcd`).
     odom : str, optional
         Topic or frame of the odometry of a bag, see :func:`~imgloc.io.bags.read_bag`; ``scans``
-        for none, because the scans are to tell the motion.
+        for none, because the motion is found by the scans.
     range_max : float, optional
         Reach of the sensor, in the unit of the file, where that of the file cannot be: 0, or NaN.
     sensor : Pose2D, optional
@@ -335,7 +335,7 @@ def _refuse_spoken(path: PathLike) -> None:
 
 
 def _npz_size(path: PathLike) -> ScansSize:
-    """How much :func:`read_npz` would read, as the headers of the arrays say."""
+    """Size of what :func:`read_npz` would read, by the headers of the arrays."""
     name, shapes = display(path), dict[str, tuple[int, ...]]()
     with (
         open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (file, length),

@@ -47,7 +47,7 @@ Entry = tuple[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class ScansSize:
-    """How much a file of scans holds at most, known before it is read."""
+    """Size of a file of scans at most, before it is read."""
 
     scans: int
     numbers: int  #: ranges, angles, and what was recorded beside them
@@ -127,7 +127,7 @@ class ScanSet(ByContent):
         return both and np.array_equal(self.poses, self.odom, equal_nan=True)  # type: ignore[arg-type]
 
     def with_odometry(self, name: str) -> "tuple[ScanSet, list[int]]":
-        """The scans whose odometry is known, and their indices; a warning tells of the others.
+        """The scans whose odometry is known, and their indices; a warning counts the others.
 
         ScanError, by the `name` of the log, if there is no odometry at all.
         """
@@ -224,7 +224,7 @@ def stated(how: Logs, sensor: Pose2D | None = None) -> Iterator[None]:
 
 
 def reach_of(value: Any, where: str, low: float = 0.0) -> float:
-    """The range_max that a file says, or that is stated where the file's cannot be."""
+    """The range_max in a file, or the stated one where the file's cannot be."""
     how = _STATED.get()
     try:
         high = scalar(value, where)
@@ -492,7 +492,7 @@ def _lasers(laser: FloatArray | None, n: int, name: str) -> list[str]:
 def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ...]:
     """The scans, the greatest reading being no distance where it is a code for nothing seen.
 
-    Drivers write one number, such as 81.83, for each ray that met nothing. Where the file says no
+    Drivers write one number, such as 81.83, for each ray that met nothing. Where the file has no
     range_max it would be a wall.
     """
     silent = [scan for scan in scans if math.isinf(scan.range_max)]
@@ -515,7 +515,7 @@ def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ..
 
 
 def _code_of(scan: LaserScan) -> float | None:
-    """What a scan has in place of ranges where nothing was seen; None if they look like ranges."""
+    """Code of a scan in place of ranges where nothing was seen; None if they look like ranges."""
     seen = scan.ranges[scan.valid]
     top = float(seen.max(initial=0.0))
     often = int(np.count_nonzero(seen == top))

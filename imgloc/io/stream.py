@@ -35,7 +35,7 @@ def is_pipe(path: Path) -> bool:
 
 
 def comes_in_lines(stream: BinaryIO) -> bool:
-    """Whether a stream is to be read line by line, by how it begins; nothing is taken from it.
+    """Return whether a stream is to be read line by line, by the beginning; it is not consumed.
 
     So are JSON lines, and a CARMEN log that comes through a pipe: of one that is there as a whole
     more is known.
@@ -53,9 +53,9 @@ def scans_of(
     """Each scan of JSON lines or a CARMEN log, as soon as its line is there, and when that was.
 
     Times are those of :func:`time.perf_counter`. Lines are those of
-    :func:`~imgloc.io.textscans.read_jsonl` or, as the first one tells, of
+    :func:`~imgloc.io.textscans.read_jsonl` or, by the first one, of
     :class:`~imgloc.io.carmen.CarmenLines`; blank ones are left out, as is a last one that ends in
-    the middle. Any other line is broken: it is left out with a warning, or a ScanError that says
+    the middle. Any other line is broken: it is left out with a warning, or a ScanError with
     its number if more than a share of the lines so far are.
 
     Parameters
@@ -104,7 +104,7 @@ def _text_of(line: bytes, where: str, *, first: bool) -> str:
 def _reader_of(
     text: str, topic: str | None, fov: float | None
 ) -> Callable[[str, str], ScanSet | None]:
-    """What reads lines of which this is the first."""
+    """Reader of lines of which this is the first."""
     if _CARMEN.match(text.encode()):
         return CarmenLines(topic, fov).take
     return partial(read_jsonl_line, topic=topic)

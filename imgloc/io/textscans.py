@@ -98,7 +98,7 @@ def read_jsonl(
 
 
 def topics_in(path: PathLike) -> Counter[tuple[str, str]]:
-    """How many messages of each topic and type JSON lines hold, or of each laser's name."""
+    """Count messages in JSON lines by topic and type, or by the laser's name."""
     found = Counter[tuple[str, str]]()
     for _, text in lines_of(path, MAX_TEXT).numbered:
         with contextlib.suppress(ScanError):
@@ -197,7 +197,7 @@ def _seconds(stamp: Any) -> Any:
 
 
 def read_jsonl_line(text: str, where: str, topic: str | None = None) -> ScanSet | None:
-    """The scan of one of the lines of :func:`read_jsonl`; `where` it stands, for errors.
+    """The scan of a line for :func:`read_jsonl`; `where` it stands, for errors.
 
     None for a line of another topic.
     """
@@ -216,7 +216,7 @@ def _object(entry: object, where: str) -> dict[str, Any]:
 
 
 def text_size(path: PathLike, *, between: bytes = b",") -> ScansSize:
-    """How much a text may hold: a scan on each line or in each brace, numbers `between` marks.
+    """Size of a text at most: a scan on each line or in each brace, numbers `between` marks.
 
     Of several marks it is that which is there most often.
 

@@ -67,7 +67,7 @@ def load_tum(path: PathLike, max_bad: float = MAX_BAD) -> tuple[FloatArray, Floa
 
 
 def _pose_of(words: list[str]) -> tuple[float, float, float, float]:
-    """Stamp, x, y and yaw of a line; a ValueError says what was expected."""
+    """Stamp, x, y and yaw of a line; a ValueError has what was expected."""
     try:
         stamp, x, y, z, *quaternion = map(float, words)
         qx, qy, qz, qw = quaternion

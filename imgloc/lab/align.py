@@ -166,7 +166,7 @@ def propose(
 
 
 def _some(side: Side) -> FloatArray:
-    """A few points of a map that tell places apart, (N, 2) metres."""
+    """A few points of a map that distinguish places, (N, 2) metres."""
     return side.xy[:: max(1, len(side.xy) // 50)]
 
 
@@ -502,9 +502,9 @@ def align_scans(pairs: Sequence[tuple[Localization, Localization]]) -> ScanAlign
 
     Notes
     -----
-    The scale is 1. A scan that is ambiguous in a map takes part: the others say which of its poses
-    is meant. So does one that is ``no-match``, as most are in an old map. More than half of the
-    scans must agree, with a share of their mass that chance does not reach, and two must have a
+    The scale is 1. A scan that is ambiguous in a map takes part: the others decide which of its
+    poses is meant. So does one that is ``no-match``, as most are in an old map. More than half of
+    the scans must agree, with a share of their mass that chance does not reach, and two must have a
     pose in both maps. The transform has the least sum of absolute differences, so that a few scans
     that are far off do not pull.
 
@@ -567,7 +567,7 @@ def _voting(
 def _between(there: FloatArray, here: FloatArray) -> Pose2D:
     """The transform that takes poses `here` (N, 3) nearest to those `there`, metres and radians.
 
-    Positions say the turn if they are far apart, headings if they are not: a heading weighs as an
+    Positions give the turn if they are far apart, headings if they are not: a heading weighs as an
     arm of :data:`_ARM` metres. Least absolute differences, by least squares with other weights.
     """
     weight = np.ones(len(there))
@@ -685,7 +685,7 @@ def align_maps(
 
     Notes
     -----
-    Any two buildings with corridors agree somewhere. A mirror image, which is no building's, tells
+    Any two buildings with corridors agree somewhere. A mirror image, which is no building's, shows
     how well: unless nearly all walls agree, those of `b` must agree far better than if mirrored.
 
     Raises

@@ -20,10 +20,10 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly, one_per_place
-from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import misfit_near, view_of
 from imgloc.filters.follow import UNCONFIRMED, follow
 from imgloc.filters.motion import increments
+from imgloc.filters.tracker import Tracker
 from imgloc.geometry import in_grid_frame, inside
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import cell_of_pose
@@ -289,7 +289,7 @@ def fit_along(
 ) -> SharedFit:
     """Fit the walls of a map that others drew from scans that odometry joins.
 
-    No scan needs to fit the map by itself. Evenly picked scans tell together whether the walls are
+    No scan needs to fit the map by itself. Evenly picked scans show together whether the walls are
     too thick, or bent: :func:`~imgloc.search.adapt.walls_of`. The tracker then follows the robot
     with these walls from anywhere. The misfit that is usual here is the median over the scans whose
     poses are ``unique`` along the way.
@@ -311,7 +311,7 @@ def fit_along(
     known, metres = replace(options, shared=walls), 0.0
     there, misfits = features.thinner(walls.thinner), list[float]()
     for piece in joined:
-        robot, before = make_filter("tracker", features, known), 0.0
+        robot, before = Tracker(features, known), 0.0
         for moment in follow(features, piece, robot):
             # Whether it is this building is not asked: whoever calibrates a map says so.
             if moment.pose is not None or moment.withheld == UNCONFIRMED:
@@ -353,7 +353,7 @@ def fit_depth(
     Readings that end alike before and behind the border of a wall's cells have a depth of 0: the
     map is sharp. On a map that scans made, they end within the blurred band. Each scan is placed
     with the scale and the walls in `options`. The result is the median over the ``unique`` scans,
-    and its standard error, metres. A ConfigError says if they are fewer than :data:`LEAST_FIT`.
+    and its standard error, metres. A ConfigError if they are fewer than :data:`LEAST_FIT`.
     """
     options = replace(options or Options(), top=1)
     shared = replace(options.shared, depth=None)
@@ -379,7 +379,7 @@ def _middle(values: FloatArray) -> tuple[float, float]:
 
 
 def _enough(fit: int, asked: int) -> None:
-    """Raise a ConfigError if too few scans fit to tell an error that they share."""
+    """Raise a ConfigError if too few scans fit to find an error that they share."""
     if fit < LEAST_FIT:
         raise ConfigError(
             f"{fit} of {asked} scans fit this map at one place, expected at least {LEAST_FIT} to "

@@ -1,9 +1,9 @@
 """Where a map has aged: walls that rays pass, and endpoints where the map has no wall.
 
-Each scan with a sure pose says of some cells that they are free, and of some that a surface is
+Each scan with a sure pose votes for some cells that they are free, and of some that a surface is
 there. A cell is free where the fan of neighbouring rays, each shortened, covers it and all cells
 around it: so a pose that is a little off does not pass through a wall beside it. What scans from
-several places, or at several times, say about a cell is compared with the map. People who walk by
+several places, or at several times, vote for a cell is compared with the map. People who walk by
 hide walls and are seen in free space, but later rays pass where they were.
 
 >>> wall = np.pad(np.zeros((40, 60), bool), 2, constant_values=True)
@@ -192,7 +192,7 @@ def sure_poses(answers: Sequence[Localization]) -> tuple[list[int], FloatArray]:
 
 
 def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> str | None:
-    """One line that says that a map has aged; None if it has not, or too little was looked at.
+    """A sentence about a map that has aged; None if it has not, or too little was looked at.
 
     The scans are in metres of the map, the `poses` (N, 3) of their sensors in the map frame, both
     sure. At most 100 of them are looked at, evenly spread.
@@ -215,7 +215,7 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
     grid : OccupancyGrid
         The map.
     scans : sequence of LaserScan
-        Scans whose lengths fit the map; their stamps tell times apart.
+        Scans whose lengths fit the map; their stamps distinguish times.
     poses : (N, 3) float array
         Poses of the sensor, map frame: metres, metres, radians. :func:`sure_poses` gives those of
         answers.
@@ -223,7 +223,8 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
     Returns
     -------
     Changes
-        Walls that are gone, surfaces that are new, and how many scans from how many places say so.
+        Walls that are gone, surfaces that are new, and how many scans from how many places saw
+        them.
 
     Raises
     ------
@@ -253,7 +254,7 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
 
 
 def _mostly(so: Counts, otherwise: Counts) -> BoolArray:
-    """Cells of which enough scans say so, and far more than say otherwise."""
+    """Cells with enough votes, and far more than votes against."""
     return np.asarray((so >= _SCANS) & (so >= _AGAINST * otherwise.astype(np.float64)))
 
 
@@ -264,7 +265,7 @@ def _grown(seeds: BoolArray, allowed: BoolArray) -> BoolArray:
 
 
 def look(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> Seen:
-    """Count what scans at poses (N, 3) of the grid frame say about each cell."""
+    """Count the votes of scans at poses (N, 3) of the grid frame for each cell."""
     shape, cell = grid.occupied.shape, grid.resolution
     counts = [np.zeros(shape, np.uint16) for _ in range(6)]
     passed, passed_from, hit, near_from, near, grazed = counts

@@ -1,4 +1,4 @@
-"""Quality and cost of a method that locates scans whose poses are known: `evaluate`.
+"""Quality and time of a method that locates scans whose poses are known: `evaluate`.
 
 >>> from imgloc.options import Sensor
 >>> from imgloc.simulation.scans import simulate
@@ -11,10 +11,9 @@
 (2, 249600, True)
 """
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import nan, sqrt
 from typing import Any
 
@@ -22,7 +21,6 @@ import numpy as np
 
 from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import (
     cell_of,
     centre_of,
@@ -44,7 +42,7 @@ from imgloc.lab.performance_index import (
     performance_index,
 )
 from imgloc.likelihoods.stacks import likelihood
-from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
+from imgloc.model import VERDICTS, FloatArray, LaserScan, Localization, Pose2D
 from imgloc.options import FUSED, LOG_METHODS, TOLERANCES, Options, Tolerance
 from imgloc.pipeline import localize
 from imgloc.search.asked import effective
@@ -53,8 +51,6 @@ from imgloc.search.stacked import posterior_of
 Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
 """Steps of the headings in Sec. VI, degrees. The beam model, its reference, has the finer step."""
-PAIR_METHODS = frozenset({"ght", "ght-v"})
-"""Methods whose work is counted in pairs of points, not in poses times readings."""
 LISTED = 5  #: number of hypotheses of an answer that are compared with the true pose
 PERCENTILES = (50, 90, 95)
 _MIXTURE = 20  # hypotheses of `fused` that make its density
@@ -87,7 +83,7 @@ def share(happened: Iterable[bool]) -> Share:
     hits, n = sum(outcomes), len(outcomes)
     if n == 0:
         return Share(0, 0, nan, 0.0, 1.0)
-    # Importing scipy.stats takes 0.7 s and 40 MB, which `max_rss_bytes` would add to the method's.
+    # Importing scipy.stats takes 0.7 s and 40 MB,
     p, square = hits / n, Z95 * Z95 / n
     middle = (p + square / 2) / (1 + square)
     half = Z95 * sqrt(p * (1 - p) / n + square / (4 * n)) / (1 + square)
@@ -108,8 +104,6 @@ class Trial:
     verdict: str
     ms: float  #: milliseconds of the whole answer
     stack_ms: float  #: milliseconds of the likelihood stack alone; NaN without a stack
-    stack_bytes: int
-    work: int  #: poses times readings, or pairs of points; 0 without a stack
 
 
 @dataclass(frozen=True)
@@ -132,13 +126,10 @@ class Spread:
 
 @dataclass(frozen=True)
 class Cost:
-    """Time and memory: the only part of a summary that differs between two runs."""
+    """Times: the only part of a summary that differs between two runs."""
 
     ms: Spread  #: milliseconds of the whole answer for a scan
     stack_ms: Spread  #: milliseconds of the likelihood stack alone
-    ns_per_unit: float  #: nanoseconds for each unit of work, median; `Summary.unit` names the unit
-    first_ms: float  #: milliseconds of the first answer, which computes the features of the map
-    max_rss_bytes: int | None  #: largest resident memory of the process; None if it is not known
 
 
 @dataclass(frozen=True)
@@ -158,16 +149,12 @@ class Summary:
     #: percentiles of its error in radians; infinite if so many trials have no answer
     heading: dict[str, float]
     verdicts: dict[str, Share]
-    unit: str | None  #: what `Cost.ns_per_unit` counts
-    work: int  #: units of work of the median trial
-    stack_bytes: int  #: bytes of the likelihood stack
-    features_bytes: int  #: bytes of the map's features that the method keeps
     cost: Cost
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """The lattice of the poses that a method tells apart."""
+    """The lattice of the poses that a method distinguishes."""
 
     cell: float  #: side of a cell, metres
     theta_step: float  #: step between headings, radians
@@ -227,8 +214,7 @@ def evaluate(
     Parameters
     ----------
     features : MapFeatures
-        The map. Pass fresh features, so that their bytes and the time of the first answer are those
-        of this method.
+        The map.
     scans : ScanSet
         Scans with the true poses of the sensor, map frame. The first scan is located once more than
         the others, before time is measured.
@@ -250,15 +236,12 @@ def evaluate(
     expect(options, Options, "options")
     if not len(scans) or scans.poses is None:
         raise ConfigError("expected at least one scan, and the true pose of each")
-    first = next(run_trials(features, scans, options)).ms
+    next(run_trials(features, scans, options))
     trials = []
     for trial in run_trials(features, scans, options):
         trials.append(trial)
         advance()
-    kept, method = bytes_of(features), options.method
-    summary = summarise(
-        trials, method, tolerances=tolerances, floor=floor, features_bytes=kept, first_ms=first
-    )
+    summary = summarise(trials, options.method, tolerances=tolerances, floor=floor)
     n, cell = headings(options), features.lattice.resolution
     poses = n * int(np.count_nonzero(features.free))
     lattice = Lattice(cell, 2 * np.pi / n, poses, n * features.free.size, float(np.log(poses)))
@@ -316,8 +299,6 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
         verdict=answer.verdict,
         ms=1e3 * (end - start),
         stack_ms=nan if stack is None else 1e3 * (between - start),
-        stack_bytes=0 if stack is None else stack.values.nbytes,
-        work=0 if stack is None else _work(features, scan, stack),
     )
 
 
@@ -331,16 +312,6 @@ def _on_lattice(
     centre = Pose2D(x, y, uniform_thetas(step)[at[0]])
     poses = n * int(np.count_nonzero(features.free))
     return density_in_cell(answer, centre, lattice.resolution, step, poses)
-
-
-def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:
-    """Pairs of points that may vote, or poses of the box times the readings that count."""
-    if stack.method in ("cbml", "beam"):
-        return stack.values.size * int(scan.valid.sum())
-    oriented = int(scan_points(scan.ranges, scan.angles, scan.valid).valid.sum())
-    if stack.method in PAIR_METHODS:
-        return oriented * int(features.surface.valid.sum())
-    return stack.values.size * oriented
 
 
 def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:
@@ -362,17 +333,13 @@ def summarise(
     *,
     tolerances: Sequence[Tolerance] = TOLERANCES,
     floor: float = FLOOR,
-    features_bytes: int = 0,
-    first_ms: float = nan,
 ) -> Summary:
     """Summarise the trials, at least one, of one method on one map.
 
     `tolerances` set how near to the true pose a hypothesis is right. `floor` is the share of the
-    uniform density in every density; outside of 0..1 it raises a ConfigError. The other arguments
-    are the fields of the same name in :class:`Summary`.
+    uniform density in every density; outside of 0..1 it raises a ConfigError.
     """
     first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
-    unit = "pair of points" if method in PAIR_METHODS else "pose and reading"
     return Summary(
         method=method,
         trials=len(trials),
@@ -386,16 +353,8 @@ def summarise(
         position=_percentiles(first[:, 0]),
         heading=_percentiles(first[:, 1]),
         verdicts={v: share(t.verdict == v for t in trials) for v in VERDICTS},
-        unit=unit if any(t.stack_bytes for t in trials) else None,
-        work=int(np.median([t.work for t in trials])),
-        stack_bytes=max(t.stack_bytes for t in trials),
-        features_bytes=features_bytes,
         cost=Cost(
-            ms=_spread([t.ms for t in trials]),
-            stack_ms=_spread([t.stack_ms for t in trials]),
-            ns_per_unit=_spread([1e6 * t.stack_ms / t.work for t in trials if t.work]).median,
-            first_ms=first_ms,
-            max_rss_bytes=_max_rss_bytes(),
+            ms=_spread([t.ms for t in trials]), stack_ms=_spread([t.stack_ms for t in trials])
         ),
     )
 
@@ -424,39 +383,3 @@ def _spread(values: Sequence[float]) -> Spread:
         return Spread(nan, nan)
     median, p99 = np.percentile(values, (50, 99))
     return Spread(float(median), float(p99))
-
-
-def bytes_of(features: MapFeatures) -> int:
-    """Bytes of the arrays that the features of a map hold now, without the map itself.
-
-    Examples
-    --------
-    >>> from imgloc.model import OccupancyGrid
-    >>> wall = np.eye(10, dtype=bool)
-    >>> features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
-    >>> before = bytes_of(features)
-    >>> before, features.bmap.shape, bytes_of(features) > 400
-    (0, (10, 10), True)
-    """
-    given = {f.name for f in fields(features)}
-    return _nbytes([value for key, value in vars(features).items() if key not in given])
-
-
-def _nbytes(value: Any) -> int:
-    if isinstance(value, np.ndarray):
-        return value.nbytes
-    if is_dataclass(value):
-        return sum(_nbytes(getattr(value, f.name)) for f in fields(value))
-    if isinstance(value, tuple | list):
-        return sum(map(_nbytes, value))
-    return 0
-
-
-def _max_rss_bytes() -> int | None:
-    """Largest resident memory of this process so far, bytes; None if it is not available."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak if sys.platform == "darwin" else 1024 * peak)

@@ -2,7 +2,7 @@
 
 ``S = mean_k log p(x_k | z_k) + log V``, nats. The densities are relative ones here, ``p V``: 1
 stands for "no idea". On a lattice of N poses ``p V`` is ``L[k*] N / sum(L)``, where k* is the cell
-of the true pose; at most N. A density that has no cells, see :func:`density_at`, may say more.
+of the true pose; at most N. A density that has no cells, see :func:`density_at`, may exceed it.
 
 A method that gives the true pose no probability would have S = -inf. Every density is therefore
 mixed with a small share of the uniform one, :data:`FLOOR`. It stays a density, and a trial costs at

@@ -86,7 +86,7 @@ def evaluation_tables(rows: Sequence[Mapping[str, Any]], width: int | None = Non
     tables = []
     for title, make in (
         ("Right answers, % [95 % interval]", _success),
-        ("Errors of the first hypothesis, and cost", _cost),
+        ("Errors of the first hypothesis, and times", _cost),
         ("Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]", _index),
     ):
         cells = [
@@ -125,7 +125,6 @@ def _success(row: Mapping[str, Any]) -> dict[str, str]:
 
 def _cost(row: Mapping[str, Any]) -> dict[str, str]:
     cost = row["cost"]
-    unit = {None: "", "pair of points": " pair", "pose and reading": " pose,ray"}[row["unit"]]
     names = tuple(row["position"])
     degrees = [math.degrees(row["heading"][q]) for q in names]
     return {
@@ -133,10 +132,6 @@ def _cost(row: Mapping[str, Any]) -> dict[str, str]:
         "deg " + " ".join(names): " ".join(_number(d, 1) for d in degrees),
         "ms p50 p99": " ".join(_number(cost["ms"][q], 0) for q in ("median", "p99")),
         "stack ms": _number(cost["stack_ms"]["median"], 1),
-        "ns per": _number(cost["ns_per_unit"], 3) + unit,
-        "first ms": _number(cost["first_ms"], 0),
-        "stack MiB": f"{row['stack_bytes'] / 2**20:.1f}",
-        "features MiB": f"{row['features_bytes'] / 2**20:.1f}",
     }
 
 

@@ -181,7 +181,7 @@ def choose_engine(
     cost of ``shift`` depends on the `tiles`, the bytes of a cell of its sums, whether
     :func:`~imgloc.likelihoods.shift.flat_stack` does it, and `which` (K, N) images are read if
     there are several. The cost of ``dft`` depends on the `components`, 2 for a vector field, and on
-    a function that tells whether double precision is needed.
+    a function that returns whether double precision is needed.
     """
     if engine in ENGINES:
         return engine

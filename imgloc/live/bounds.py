@@ -1,4 +1,4 @@
-"""How much a service takes from those who ask: declared once, also for the command line."""
+"""Limits of a service on those who ask: declared once, also for the command line."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -13,7 +13,7 @@ Seconds = Annotated[float, Within(0.05, 86_400, "seconds")]
 
 @dataclass(frozen=True)
 class Bounds(Checked):
-    """Sizes, counts and times; what commands have as an option says it in its text."""
+    """Sizes, counts and times; options of commands have them in their texts."""
 
     seconds: Seconds = option(30.0, "Seconds after which an answer is given up.")
     patience: Seconds = option(

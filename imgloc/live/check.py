@@ -42,7 +42,7 @@ class Row:
 
 @dataclass
 class _Heard:
-    """What came on a topic."""
+    """Messages of a topic."""
 
     name: str  #: with namespace and remapping
     kind: str

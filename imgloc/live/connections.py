@@ -35,7 +35,7 @@ class _Connection(H11Protocol):
 
     @property
     def state(self) -> str:
-        """What is waited for: a ``head``, a ``body``, ``send``, or ``work``: nothing."""
+        """State of it: waits for a ``head``, a ``body``, ``send``, or ``work``: nothing."""
         if self.flow.write_paused or self.transport.is_closing():
             return "send"
         if self.cycle is None or self.cycle.response_complete:
@@ -74,7 +74,7 @@ class _Connection(H11Protocol):
 
 
 def has_gone(client: socket.socket) -> bool:
-    """Whether a client has closed its connection and has sent nothing."""
+    """Return whether a client has closed its connection and has sent nothing."""
     try:
         return not client.recv(1, socket.MSG_PEEK)
     except OSError as error:

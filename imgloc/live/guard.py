@@ -173,7 +173,7 @@ class Bodies:
 
 
 def ending() -> Refused:
-    """What is told to whoever asks while the service ends."""
+    """Refusal for whoever asks while the service ends."""
     return Refused("stopping", "the service ends; ask another one", retry=5)
 
 

@@ -94,7 +94,7 @@ class Lane:
         self, work: Callable[[], Any], seconds: float, receive: Receive | None = None,
         client: str = "",
     ) -> Any:  # fmt: skip
-        """What the work returns: called in a thread of the lane, or without one here, for a future.
+        """Result of the work: called in a thread of the lane, or without one here, for a future.
 
         It is refused after so many `seconds`, and taken back if the client of `receive` goes.
         """

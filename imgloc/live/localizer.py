@@ -641,7 +641,7 @@ class Robot:
             With its stamp, if known; with its `laser` and `T_base_laser`, if the robot has several.
         odometry : (3,) array, optional
             Pose x, y [m], theta [rad] of the robot in the odometry's frame at the stamp. Without
-            any, the scans alone tell the motion.
+            any, the motion is found by the scans alone.
         source : hashable
             One scan of each waits; by default of each laser. A text is the name of the laser, if
             the scan has none.

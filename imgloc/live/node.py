@@ -247,7 +247,7 @@ class LocalizerNode:
     Raises
     ------
     ConfigError
-        If nothing can say where the lasers sit, or a setting is out of its range.
+        If the places of the lasers are not known, or a setting is out of its range.
     """
 
     def __init__(
@@ -862,14 +862,14 @@ class LocalizerNode:
         return time.monotonic() - laser.heard > self.settings.scan_timeout
 
     def _frozen(self, laser: Topic) -> bool:
-        """Whether a laser has repeated one scan for too long, though it should have changed."""
+        """Return whether a laser has repeated one scan too long, though it should have changed."""
         stuck = laser.heard < laser.fresh + self.settings.scan_timeout
         blind = self.found is not None and self.found.why == BLIND
         long = time.monotonic() - laser.fresh > self.settings.scan_timeout
         return laser.frozen and long and (blind or stuck)
 
     def _waits(self) -> str:
-        """What is lacking before a scan can be looked at."""
+        """Lack that keeps scans from being looked at; empty if there is none."""
         if not self.core.names:
             return f"waiting for a map on {self._map_topic}"
         if not self.core.ready:
@@ -900,7 +900,7 @@ class LocalizerNode:
         return ""
 
     def _stands(self) -> bool:
-        """Whether what was found still holds: it is new, or the robot has not moved since."""
+        """Return whether what was found still holds: it is new, or the robot has not moved."""
         found = self.found
         if found is None or not self._sure or all(map(self._silent, self.lasers)):
             return False
@@ -1008,7 +1008,7 @@ def managed(
     ros: Any, node: Any, prepare: Callable[[], Localizer],
     start: Callable[[Localizer], LocalizerNode],
 ) -> Any:  # fmt: skip
-    """What becomes of a lifecycle node at each transition: the entity that it manages.
+    """Managed entity of a lifecycle node: what each transition does.
 
     `configure` fails, with the reason in the log, if a map or a setting cannot be used.
     """
@@ -1103,7 +1103,7 @@ def run_node(
     words : sequence of str
         Arguments of ROS.
     settings : Settings
-        Where ROS parameters say nothing else.
+        Where no ROS parameter is set.
     makers : mapping of str to callable
         What makes each map; empty if the map is that of the topic.
     options, prepared : Options, callable

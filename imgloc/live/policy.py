@@ -45,7 +45,7 @@ WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
 
 @dataclass(frozen=True)
 class Sighting:
-    """What is believed after a scan."""
+    """Belief after a scan."""
 
     stamp: float  #: of the scan, seconds
     pose: Pose2D | None  #: of the robot's base, map frame, if the belief is sure of it
@@ -121,7 +121,7 @@ class FirstPose:
 
 
 class LastPose:
-    """Whether a pose holds: the last sure one does, though a scan alone does not confirm it.
+    """Decides whether a pose holds: the last sure one does, though a scan does not confirm it.
 
     It does for so many seconds, while the belief stays where the odometry has carried it.
     """

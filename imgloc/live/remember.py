@@ -1,6 +1,6 @@
 """The pose that a robot had when it was switched off, checked by a scan when it starts again.
 
-Nothing tells how long it was off and whether it was carried meanwhile, so one scan is looked for on
+Nobody knows how long it was off and whether it was carried meanwhile, so one scan is looked for on
 the whole map, as if nothing were known. Only a pose that is restored is published at once:
 
 =========  =====================================================================================
@@ -35,7 +35,7 @@ _MOST = 1 << 16  # bytes
 
 
 def identity(grid: OccupancyGrid) -> str:
-    """What tells one map from another: its cells, resolution and origin."""
+    """Identity of a map: its cells, resolution and origin."""
     return f"{map_hash(grid)} {grid.origin.x:.6g} {grid.origin.y:.6g} {grid.origin.theta:.6g}"
 
 
@@ -69,7 +69,7 @@ class Kept:
 
 
 def load_kept(path: PathLike) -> Kept | None:
-    """What a file remembers; None if there is no file yet, in a folder that there is."""
+    """Pose that a file remembers; None if there is no file yet, in a folder that there is."""
     name = display(path)
     if not is_there(path):
         if not is_folder(Path(path).parent):

@@ -27,7 +27,7 @@ _Wait = Annotated[float, Within(0.01, 60, "seconds")]
 
 @dataclass(frozen=True)
 class Measured(Checked):
-    """What the node goes by, and no robot sets."""
+    """Measured limits of the node, which no robot sets."""
 
     #: from a scan's arrival until it is left out, if odometry or transforms of its time lack
     late: _Wait = number("live.late")
@@ -46,7 +46,7 @@ def _topics(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Rules(Checked):
-    """How often a first pose is tried, and what of it is published."""
+    """Rules by which a first pose is tried and published."""
 
     every: Annotated[float, Within(0, 3600, "seconds")] = option(
         0.3, "Seconds between two scans that are tried."
@@ -70,7 +70,7 @@ CHANGING = {"every", "metres", "tries", "max_age", "scan_timeout", "least_deviat
 
 @dataclass(frozen=True)
 class Settings(Rules):
-    """What the node does; each field is a ROS parameter of its name."""
+    """Settings of the node; each field is a ROS parameter of its name."""
 
     scan_topics: tuple[_Topic, ...] = option(
         (),
@@ -162,7 +162,7 @@ class Settings(Rules):
 
     @property
     def mounts(self) -> list[Pose2D] | None:
-        """Where each laser sits; None if tf has to say it."""
+        """Where each laser sits; None if that is up to tf."""
         if not self.sensor:
             return None
         if len(self.sensor) != 3 * len(self.topics):

@@ -81,16 +81,16 @@ def found_of(answer: Localization, stamp: float, name: str | None) -> Found:
 
 
 def found_blind(scan: LaserScan, name: str | None) -> Found:
-    """What there is for a scan with too few readings: why."""
+    """Finding of a scan with too few readings: why."""
     return Found(scan.stamp, name, "invalid", readings=few_readings([scan]))
 
 
 def found_along(
     moment: Moment, origin: Pose2D, name: str | None, scan: LaserScan | None = None
 ) -> Found:
-    """What is believed along the way; `origin` is that of the grid, in whose frame beliefs are.
+    """Belief along the way; `origin` is that of the grid, in whose frame beliefs are.
 
-    With the scan, a belief that has seen nothing tells why.
+    With the scan, a belief that has seen nothing has the reason.
     """
     if scan is not None and moment.withheld == BLIND and not len(moment.belief.poses):
         return found_blind(scan, name)
@@ -207,7 +207,7 @@ def health(
     ----------
     first, found : FirstPose, Found, optional
     silent : sequence of str
-        Lasers that say nothing any more.
+        Lasers that are silent.
     alive : bool
         Whether another one does.
     errors : sequence of str

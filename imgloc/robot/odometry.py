@@ -82,7 +82,7 @@ class Odometry:
         self._stamps, self._poses = [], []
 
     def waits(self, stamp: float) -> bool:
-        """Return whether the next pose may still tell where the robot was at a time."""
+        """Return whether the next pose may still show where the robot was at a time."""
         return stamp > self.last
 
     def at(self, stamp: float) -> FloatArray | None:

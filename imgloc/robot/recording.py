@@ -1,4 +1,4 @@
-"""What a log holds by name, and which odometry is that of the robot that carries a laser."""
+"""Contents of a log by name, and the odometry of the robot that carries a laser."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,7 +42,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a log holds by name, and which of it was taken.
+    """Contents of a log by name, and which of it was taken.
 
     Examples
     --------
@@ -67,8 +67,8 @@ def pick_odometry(
 
     It is the moving frame from which tf leads to the frame of the laser: a topic whose
     `child_frame_id` is a part of the same robot, else a link of tf above the laser that moves.
-    Without tf, names tell: the laser's namespace. Poses that the robot cannot know of itself are no
-    odometry, unless they are asked for.
+    Without tf, names decide: the laser's namespace. Poses that the robot cannot know of itself are
+    no odometry, unless they are asked for.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def pick_odometry(
     Raises
     ------
     ScanError
-        If `asked` is not there, or several robots have an odometry and nothing tells which one
+        If `asked` is not there, or several robots have an odometry and nothing shows which one
         carries the laser. The error names the candidates.
     """
     links, topic = list(_moving(frames, laser)), about.taken
@@ -148,7 +148,7 @@ def _rank(source: Source, links: Sequence[Source], topic: str) -> tuple[bool, bo
 def _moving(frames: Frames, laser: str) -> Iterator[Source]:
     """Links above the laser that move, those that are called so first, then nearest the base.
 
-    A joint between base and laser moves, too: the base's own name tells it apart.
+    A joint between base and laser moves, too: the base's own name distinguishes it.
     """
     line = frames.parents(laser)
     pairs = list(pairwise(line))
@@ -201,7 +201,7 @@ def _space(topic: str) -> str:
 def mounted(
     frames: Frames, laser: str, base: str, stamps: FloatArray
 ) -> Mapping[float, FloatArray] | None:
-    """Pose (4, 4) of a laser on its robot at each time where it is known; None if tf never tells.
+    """Pose (4, 4) of a laser on its robot at each time where it is known; None if tf never has it.
 
     `base` is the frame of the odometry; without one it is the first of
     :data:`~imgloc.robot.frames.BASES` to which tf leads.

@@ -111,7 +111,7 @@ class BatchSummary:
 
 
 def _count(found: list[dict[str, Any]], about: Row, name: str) -> None:
-    """Count an item of this name under what `about` says of it; a few kinds are kept, in order."""
+    """Count an item of this name under the facts `about` it; a few kinds are kept, in order."""
     kind = next((kind for kind in found if about.items() <= kind.items()), None)
     if kind is not None:
         kind["items"] += 1
@@ -470,7 +470,7 @@ def find_items(
 
 
 def _check_names(names: Sequence[str | None]) -> None:
-    """Refuse two files that are shown by one name, which rows and `resume` would not tell apart."""
+    """Refuse two files that are shown by one name, which rows and `resume` would confuse."""
     for name, count in Counter(names).items():
         if count > 1:
             raise ConfigError(

@@ -161,7 +161,7 @@ class Desk:
         return default_budget() if self.memory_budget is None else self.memory_budget
 
     def check(self, need: int, what: str, hint: str) -> None:
-        """Refuse to take more bytes than the memory has; `hint` says what needs less."""
+        """Refuse to take more bytes than the memory has; `hint` is about what needs less."""
         LOG.info("%s: at most %d MiB, the budget is %d MiB", what, -(-need // MIB),
                  self.budget // MIB)  # fmt: skip
         check_budget(need, self.budget, what, f"{hint}, or raise `memory_budget`")
@@ -342,7 +342,7 @@ def image_of(path: Path, reading: Reading) -> tuple[ImageSize, str]:
 
 
 def answer_need(features: MapFeatures, options: Options, name: str) -> tuple[int, str]:
-    """Bytes of an answer and its features, and what an error says of them."""
+    """Bytes of an answer and its features, and how an error describes them."""
     (rows, columns), lattice = features.grid.occupied.shape, features.lattice
     held, answer = features.bytes_for(options.method), answer_bytes(features, options)
     what = (
@@ -384,7 +384,7 @@ def _spool(stream: IO[bytes], path: Path) -> None:
 def quiet_libraries() -> Iterator[None]:
     """Keep what C libraries write to standard error from it.
 
-    libpng says a word of its own about a damaged file; imgloc's error says all of it.
+    libpng has a line of its own about a damaged file; imgloc's error is enough.
     """
     if sys.stderr is not None:
         sys.stderr.flush()

@@ -1,7 +1,7 @@
 """The folder that a batch writes: rows that are never lost, and nothing else touched.
 
 ``results.jsonl`` has a row for each item, appended and flushed to the disk before the next; of
-several with one map and scan file the last counts. ``run.json`` says what decided them, and
+several with one map and scan file the last counts. ``run.json`` has what decided them, and
 ``summary.json`` what they come to; ``pictures`` is beside them.
 """
 
@@ -265,7 +265,7 @@ def read_summary(folder: PathLike) -> Row:
 def read_rows(folder: PathLike) -> Iterator[Row]:
     """Rows of a folder, the last one of each item; what a stop has torn is left out.
 
-    Each has what :data:`_ROWS` says. OutputError if the file cannot be read, ConfigError if there
+    Each has the keys of :data:`_ROWS`. OutputError if the file cannot be read, ConfigError if there
     is none.
     """
     name, path = display(folder), Path(folder) / RESULTS

@@ -23,8 +23,8 @@ CURVED = MAPS / "curved.yaml"
 OFF = "--no-cache"
 QUICK = ["--method", "fused,ght-v", "--threads", 1]
 KEYS = ["map", "method", "trials", "index", "index_box", "index_calibrated", "outside", "exact"]
-KEYS += ["near", "success", "position", "heading", "verdicts", "unit", "work", "stack_bytes"]
-KEYS += ["features_bytes", "cost", "lattice", "source", "parameters"]
+KEYS += ["near", "success", "position", "heading", "verdicts", "cost"]
+KEYS += ["lattice", "source", "parameters"]
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +79,6 @@ def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
     calibration = votes["parameters"]["calibration"]
     assert calibration == dataclasses.asdict(DEFAULTS["ght-v"])
     assert votes["lattice"]["theta_step"] == pytest.approx(np.deg2rad(30))  # the paper's
-    assert votes["stack_bytes"] == 4 * votes["lattice"]["poses_box"]
-    assert votes["cost"]["ns_per_unit"] > 0
     assert votes["parameters"]["method"] == "ght-v"
 
 
@@ -115,7 +113,6 @@ def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> No
 def test_range_max_cuts_recorded_readings(scans: Path) -> None:
     words = (CURVED, "--scans", scans, "--method", "cbml", "--cell", 0.2)
     (whole,), (short,) = evaluated(*words), evaluated(*words, "--range-max", 2)
-    assert short["work"] < whole["work"]
     assert short["source"]["range_max"] == 2
     assert short["index"]["value"] < whole["index"]["value"]
 
@@ -159,7 +156,7 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
     lines = shown.decode().splitlines()
     assert max(map(len, lines)) <= 80
     assert sum(line.startswith("| curved | fused ") for line in lines) > 3
-    for name in ("unique, wrong", "features MiB", "within 1 cell %"):
+    for name in ("unique, wrong", "stack ms", "within 1 cell %"):
         assert sum(name in line for line in lines) == 1
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, pose_errors, theta_bin, transform_poses
 from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.scanset import ScanSet
@@ -72,16 +71,11 @@ def test_a_trial_is_what_the_stack_says(method: str, scans: ScanSet) -> None:
         gap = np.abs(best - (k, row, col))
         gap[0] = min(gap[0], 60 - gap[0])
         assert (trial.exact, trial.near) == (not gap.any(), gap.max() <= 1)
-        assert trial.stack_bytes == 60 * 40 * 50 * 4
         assert 0 < trial.stack_ms <= trial.ms
         answer = localize(features, scan, method_options(method, np.deg2rad(6.0)))
         own = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses])
         np.testing.assert_array_equal(trial.errors, pose_errors(own, Pose2D(x, y, theta)))
         assert trial.verdict == answer.verdict
-        oriented = int(scan_points(scan.ranges, scan.angles, scan.valid).valid.sum())
-        voters = 61 if method in ("cbml", "beam") else oriented
-        places = len(features.surface) if method.startswith("ght") else 60 * 40 * 50
-        assert trial.work == voters * places
 
 
 @pytest.mark.parametrize("method", ["fused", "cbml", "ght-v"])
@@ -146,7 +140,7 @@ def test_never_more_than_one_stack(scans: ScanSet) -> None:
 
 def made(errors: list[tuple[float, float]], verdict: str = "unique", ms: float = 1.0) -> Trial:
     xy = np.array(errors).reshape(-1, 2)
-    return Trial(2.0, 4.0, 8.0, False, False, True, xy, verdict, ms, ms / 2, 100, 1000)
+    return Trial(2.0, 4.0, 8.0, False, False, True, xy, verdict, ms, ms / 2)
 
 
 def test_success_by_hand() -> None:
@@ -174,12 +168,6 @@ def test_success_by_hand() -> None:
     assert s.index_calibrated.value == pytest.approx(np.log(8), abs=1e-3)
     assert s.cost.ms.median == 2.5
     assert s.cost.ms.p99 == pytest.approx(3.97)
-    assert s.cost.ns_per_unit == pytest.approx(1e6 * 1.25 / 1000)
-
-
-def test_the_work_of_votes_is_counted_in_pairs() -> None:
-    assert summarise([made([(0.1, 0.1)])], "ght").unit == "pair of points"
-    assert summarise([made([(0.1, 0.1)])], "cbml").unit == "pose and reading"
 
 
 def test_evaluate_is_the_same_up_to_its_cost(scans: ScanSet) -> None:
@@ -197,9 +185,8 @@ def test_evaluate_is_the_same_up_to_its_cost(scans: ScanSet) -> None:
     assert a.lattice == b.lattice
     assert a.lattice.poses == 12 * int(room().free.sum())
     assert a.lattice.log_poses == pytest.approx(np.log(a.lattice.poses))
-    assert (a.summary.index, a.summary.exact, a.summary.success, a.summary.features_bytes) == (
-        b.summary.index, b.summary.exact, b.summary.success, b.summary.features_bytes,
-    )  # fmt: skip
+    for name in ("index", "exact", "success"):
+        assert getattr(a.summary, name) == getattr(b.summary, name)
     assert a.parameters == b.parameters
     with pytest.raises(ConfigError, match="true pose"):
         evaluate(prepare(room()), ScanSet(scans.scans), method_options("ght"))

@@ -9,7 +9,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import NOT_UNIQUE, emit, say
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Chosen, Logs, Mounting
+from imgloc.options import Chosen, Mounting
 from imgloc.ranges import Option, option
 
 _SCANS = 24  # of a file, unless they are chosen
@@ -49,8 +49,8 @@ def align(
         "ROS ignore the yaw of an origin.",
         metavar="YAML",
     ),
-    reading: opt.MapImages,
-    logs: Logs,
+    reading: opt.MapFrame,
+    logs: opt.LogTaken,
     chosen: Chosen,
     mounting: Mounting,
     taken: opt.Resources,

@@ -1,4 +1,4 @@
-"""`imgloc atlas`: where on a map a single scan says where one is."""
+"""`imgloc atlas`: where on a map a single scan is enough."""
 
 import math
 from dataclasses import asdict

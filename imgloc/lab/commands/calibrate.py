@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Given, Without
+from imgloc.cli.command import Given, Only, Without
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
@@ -36,9 +36,10 @@ _SIMULATED, _RECORDED = "calibrate without --scans", "calibrate --scans"
 _OF = {
     **dict.fromkeys(("--rays", "--sigma", "--outliers", "--dropped", "--clearance"), (_SIMULATED,)),
     **dict.fromkeys(("--method", "-n", "--count", "--seed", "--theta-step-deg"), (_SIMULATED,)),
-    **dict.fromkeys(("--cell",), (_SIMULATED,)),
-    **dict.fromkeys(("--topic", "--range-scale", "--max-bad", "--height", "--odom"), (_RECORDED,)),
-    **dict.fromkeys(("--scans-index", "--sample", "--sample-seed", "--flipped"), (_RECORDED,)),
+    "--cell": (_SIMULATED,),
+    "--topic": (_RECORDED,),
+    "--range-scale": (_RECORDED,),
+    **dict.fromkeys(("--scans-index", "--sample", "--flipped"), (_RECORDED,)),
 }
 
 
@@ -52,7 +53,7 @@ def calibrate(
     ),
     given: Given,
     sensor: Annotated[Sensor, Without("fov", "range_max", "mount")],
-    logs: Annotated[Logs, Without("fov", "range_max")],
+    logs: Annotated[Logs, Only("topic", "scale")],
     chosen: Chosen,
     mounting: Mounting,
     reading: opt.MapFrame,
@@ -100,7 +101,7 @@ def calibrate(
     as floor plans do; and how far behind the border of the walls readings end (0 on a sharp map,
     some centimetres on a map made from scans). The method fused then starts from these.
 
-    If others drew the map and no scan fits by itself, give scans with odometry. Together they tell
+    If others drew the map and no scan fits by itself, give scans with odometry. Together they show
     how thick and how bent the walls are, and how well scans fit this map at their best.
     """
     from imgloc.cli import inputs

@@ -36,8 +36,7 @@ _SIMULATED, _RECORDED = "evaluate without --scans", "evaluate --scans"
 _OF = {
     **dict.fromkeys(("--rays", "--fov-deg", "--sigma", "--outliers", "--dropped"), (_SIMULATED,)),
     **dict.fromkeys(("--clearance", "--sensor", "-n", "--count", "--seed"), (_SIMULATED,)),
-    **dict.fromkeys(("--flipped", "--range-scale", "--scans-index"), (_RECORDED,)),
-    **dict.fromkeys(("--sample", "--sample-seed"), (_RECORDED,)),
+    **dict.fromkeys(("--flipped", "--range-scale", "--scans-index", "--sample"), (_RECORDED,)),
 }
 
 
@@ -89,7 +88,7 @@ def evaluate(
 
     S is the paper's performance index (eq. 12). It compares the density at the true pose with a
     uniform density: S is the mean logarithm of their ratio. At 0 a method knows nothing; at S max
-    it is certain of one cell of a lattice of poses. "S calibrated" is the S of the posterior that
+    it is certain of one cell in a lattice of poses. "S calibrated" is the S of the posterior that
     localize uses (see `imgloc calibrate`). For fused, S is that of Gaussians and may be above
     S max; its S calibrated is on the lattice. "S all cells" includes walls and unknown space. "at
     floor" counts the trials whose density is at most 0.001 of a uniform one; "not free" those whose
@@ -130,13 +129,13 @@ def evaluate(
                 known = calibrated(plan, path, grid)
                 if file is None:  # scans simulated in the map have no error of its scale
                     known = replace(known, shared=plan.shared)
-                # Their bytes are part of the row, so no other method may have used them.
+                # What one method makes of the map is not held while another is measured.
                 features = desk.features(
                     path, read, known, cell=cell, scans=trials.scans, fresh=True
                 )
                 plans.append((known, features))
             rows = []
-            while plans:  # what a method has made of the map goes with it
+            while plans:
                 known, features = plans.pop(0)
                 with progress(f"{name}: {known.method}", len(trials), lines=False) as advance:
                     found = evaluation.evaluate(
