@@ -9,6 +9,8 @@ from typing import Any
 _HOMES = {
     "imgloc.lab.atlas": "survey_part",
     "imgloc.lab.changes": "aging_hint",
+    "imgloc.lab.grid": "GridFilter GridOptions",
+    "imgloc.lab.particle": "ParticleFilter ParticleOptions",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 
@@ -47,7 +49,7 @@ def behind(name: str) -> Any:
 
     Examples
     --------
-    >>> behind("aging_hint").__module__
-    'imgloc.lab.changes'
+    >>> behind("GridFilter").__module__
+    'imgloc.lab.grid'
     """
     return getattr(import_module(_HOME_OF[name]), name)

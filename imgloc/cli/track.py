@@ -22,7 +22,8 @@ from imgloc.texts import pose
 if TYPE_CHECKING:
     from imgloc.cli.live import Live
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.filters.follow import Moment
+    from imgloc.filters.belief import Filter
+    from imgloc.filters.follow import Moment, Tracking
     from imgloc.filters.watch import Opinion
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, OccupancyGrid
@@ -172,8 +173,7 @@ def track(
     from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
     from imgloc.filters.deviation import deviation_of
-    from imgloc.filters.follow import follow
-    from imgloc.filters.tracker import Tracker
+    from imgloc.filters.follow import Tracking, follow
     from imgloc.io.calibration import calibrated
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
@@ -191,9 +191,10 @@ def track(
     features = desk.features(map_path, maps, options, scans=scans.scans)
     check_options(features, options)
     scans = with_true_poses(scans, grid, inputs.name_of(log))
-    chosen = Tracker(features, options)
+    tracking = Tracking(**vars(followed))
+    chosen = _made(tracking, features, options, map_name(map_path))
     run = follow(
-        features, live or scans, chosen, every=followed.every, limits=followed.limits,
+        features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
         start=asked.start, name=inputs.name_of(log),
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
@@ -228,6 +229,19 @@ def track(
         LOG.warning("%s", said)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
+
+
+def _made(
+    tracking: "Tracking", features: "MapFeatures", options: Options, name: str
+) -> "Filter":  # fmt: skip
+    """The filter; a warning if no pose of it can be ``unique`` on the map of this name."""
+    made = tracking.made(features, options)
+    if made.unsure:
+        LOG.warning(
+            "%s: %s, so no pose of --filter %s is unique; the tracker allows for it, and --bent 0 "
+            "says that walls are straight", name, made.unsure, tracking.filter,
+        )  # fmt: skip
+    return made
 
 
 def _truth_of(

@@ -208,6 +208,8 @@ class Tracker:
     True
     """
 
+    unsure = ""
+
     def __init__(
         self,
         features: MapFeatures,

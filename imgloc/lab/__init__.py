@@ -1,1 +1,1 @@
-"""Measurements and comparisons: evaluation, calibration, atlas."""
+"""Measurements and comparisons: evaluation, calibration, atlas, two more filters."""
