@@ -30,7 +30,8 @@ summed, piece after piece.
 
 Rays that meet nothing say less, because glass and dark surfaces return none. Where the map has no
 wall as far as another reading shows that the sensor reaches, they cost nothing. A piece of them (20
-degrees) that should meet a wall is a thing of its own at most: nothing shows that one goes on.
+degrees) that should meet a wall is a thing of its own at most: nothing shows that one goes on. A
+building on no map would have walls there, too, so this compares places of the map alone.
 
 A map may name what is movable, as the furniture of a drawing. A piece is then seen with or without
 all of that, one as likely as the other::
@@ -77,6 +78,7 @@ class Scores:
 
     log_likelihood: FloatArray  #: (C,) nats, each reading by itself
     things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
+    silence: FloatArray  #: (C,) nats of these, 0 or less, for rays that met nothing
     #: (C, P) pieces, of some readings at least, that are rather what the map has there
     fits: BoolArray
     own: BoolArray  #: (C, P) and those that are rather things of their own
@@ -127,8 +129,11 @@ def score_poses(
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     # On bent walls all pieces are displaced or gone already.
     things = log_likelihood if model.bent else by_things(told, own, goes_on)
-    things = things + silence(features, readings, poses, model)
-    return Scores(log_likelihood, things, fits, some & (told < own), passing, on_surface, crossed)
+    silent = silence(features, readings, poses, model)
+    things = things + silent
+    return Scores(
+        log_likelihood, things, silent, fits, some & (told < own), passing, on_surface, crossed
+    )
 
 
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:

@@ -179,7 +179,8 @@ def evidence_of(
     temperature = temperature_of(scores, n, options, features.grid.resolution)
     unmapped = unmapped_score(readings, model)
     best = int(np.argmax(scores.things)) if at is None else at
-    gained = (float(scores.things[best]) - unmapped * n) / temperature.value
+    # Rays that met nothing would cost as much in a building on no map.
+    gained = (float(scores.things[best] - scores.silence[best]) - unmapped * n) / temperature.value
     mapped, through = int(scores.mapped[best]), int(scores.through[best])
     against = _PIECES * math.log((1 + through) / (1 + mapped))
     if floor is not None:  # what may be left out fits more places
