@@ -33,7 +33,7 @@ def figures() -> Mapping[str, str]:
 
     Examples
     --------
-    >>> "21 were wrongly called `unique`" in figures()["wrong"].replace("\n", " ")
+    >>> "20 were wrongly called `unique`" in figures()["wrong"].replace("\n", " ")
     True
     """
     found = rows(TRUST, "condition")
