@@ -35,7 +35,8 @@ def test_an_option_wins_over_a_value_of_a_map_that_cannot_be(option: str, tmp_pa
     refused = call("map", "check", path).ends(3)
     flag = option.split()[0].replace("--no-", "--")
     assert f"; or pass {flag}" in refused.err
-    call("map", "check", path, *option.split()).ends(0)
+    for command in ("map check", "inspect"):
+        call(*command.split(), path, *option.split()).ends(0)
     given = option.split()
     if given[0] not in ("--origin", "--resolution"):  # a YAML keeps how an image is read
         assert call("map", "check", path, *given, "--write", tmp_path / "b.yaml").code == 0

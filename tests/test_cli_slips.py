@@ -194,7 +194,7 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
     both = ("--resolution", 2 * resolution, "--scans-index", 0)
     assert f"resolution {resolution:g} there" in call("localize", image, log, *both).err
     same = ("--resolution", resolution, "--origin", "-12.5,-8,0", "--scans-index", 0)
-    assert "is ignored" not in call("map", "check", image, *same[:4], "--negate").out
+    assert "is ignored" not in call("localize", image, log, *same, "--negate").err
     (tmp_path / MAP.name).unlink()
     assert "frame" not in call("localize", image, log, *same[:2], "--scans-index", 0).err
 
@@ -212,7 +212,7 @@ def test_unknown_cells_that_count_as_free_are_said(
         assert err.count(said) == 1, (name, err)
         assert "0.196 keeps them unknown" in err
     assert said in call("map", "check", path).out
-    assert said not in call("map", "check", path, "--free-thresh", 0.196).out
+    assert said not in call("localize", path, log, "--scans-index", 0, "--free-thresh", 0.196).err
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
     with caplog.at_level(logging.WARNING):
         load_map(path)

@@ -69,7 +69,7 @@ def batch(
     ),
     out: Path = option(..., "Folder of the results.", metavar="DIR"),
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapImages,
     logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
     search: Annotated[Options, Only("method", "top", "theta_step", "max_speed", "max_turn")],

@@ -35,7 +35,7 @@ def inspect(
     ),
     logs: Logs,
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapImages,
     as_json: opt.AsJson = False,
     picture: Path | None = option(
         None,

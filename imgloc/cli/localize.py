@@ -51,7 +51,7 @@ def localize(
     known: Known,
     drawn: Drawn,
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapImages,
     logs: Logs,
     chosen: Chosen,
     taken: opt.Resources,

@@ -89,7 +89,7 @@ def open(  # noqa: A001 (the command's name)
     logs: Logs,
     chosen: Chosen,
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapImages,
     taken: opt.Resources,
     scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,
     port: Port = option(0, "Port to listen at. [default: any that is free]"),

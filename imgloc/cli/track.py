@@ -151,7 +151,7 @@ def track(
     outputs: Outputs,
     drawn: Drawn,
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapImages,
     logs: Logs,
     taken: opt.Resources,
     as_json: opt.AsJson = False,

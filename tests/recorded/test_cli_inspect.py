@@ -291,10 +291,11 @@ def test_track_says_the_same_where_it_matters(shared: Path, tmp_path: Path) -> N
 
 TYPED = (  # with a scan upside down or not; what excludes one another is in the other line
     (False, "--topic FLASER --fov-deg 180 --range-scale 1.001 --max-bad 0.02 --range-max 20 "
-     "--sensor 0.1,0,0.1 --resolution 0.1 --origin 1,2,0 --no-cache "
-     "--memory-budget 2G"),
-    (True, "--straighten forward --flipped --allow-lossy --cache {folder} "
+     "--sensor 0.1,0,0.1 --resolution 0.1 --origin 1,2,0 --mode scale --occupied-thresh 0.6 "
+     "--free-thresh 0.2 --no-negate --no-cache --memory-budget 2G"),
+    (True, "--straighten forward --flipped --semantics ros1 --allow-lossy --cache {folder} "
      "--height=-1,1 --odom scans"),
+    (False, "--negate"),
 )  # fmt: skip
 
 

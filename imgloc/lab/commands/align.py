@@ -49,7 +49,7 @@ def align(
         "ROS ignore the yaw of an origin.",
         metavar="YAML",
     ),
-    reading: opt.MapFrame,
+    reading: opt.MapImages,
     logs: opt.LogTaken,
     chosen: Chosen,
     mounting: Mounting,
