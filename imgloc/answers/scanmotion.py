@@ -35,6 +35,7 @@ _CELL, _NOISE = number("scanmotion.cell")
 AGREES, POOR, _HALF, _TWO = number("scanmotion.agrees")
 _LAGS = number("scanmotion.lags")
 _ANGLES = number("scanmotion.angles")
+_MOUNTS = np.deg2rad(np.arange(5.0, 360.0, 5.0))  # that a place may be turned by
 _SIDE = 4000  # cells of an image of a scan; readings so far off are errors
 Scan = Callable[[LaserScan], LaserScan]
 Odometry = Callable[[FloatArray], FloatArray]
@@ -86,16 +87,23 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
 
 
 def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float] | None:
-    """The one of several lasers that disagrees with poses (N, 3) of the robot, and its share."""
-    shares = dict[str, float]()
+    """The one of several lasers that disagrees with poses (N, 3) of the robot, and its share.
+
+    Another one agrees, and it would itself if its place were turned: few scans agree by nature.
+    """
+    shares = dict[str, tuple[float, float]]()
     for name in scans.lasers:
         k = [k for k, scan in enumerate(scans.scans) if scan.laser == name]
         own, path = scans.take(k), odom[k]
-        share = _share(own.scans.__getitem__, path, _pairs(path, own), Way(""))
-        seen = np.median([np.count_nonzero(scan.valid) for scan in own.scans])
-        shares |= {name: share} if seen >= _LEAST and not math.isnan(share) else {}
+        share = partial(_share, own.scans.__getitem__, path, _pairs(path, own))
+        here, seen = share(Way("")), np.median([np.count_nonzero(s.valid) for s in own.scans])
+        if seen >= _LEAST and not math.isnan(here):
+            turned = (Way("", scan=partial(_turned, turn=turn)) for turn in _MOUNTS)
+            shares[name] = here, max(map(share, turned)) if here < POOR else here
     ranked = sorted(shares.items(), key=lambda item: item[1])
-    return ranked[0] if ranked and ranked[0][1] < POOR <= ranked[-1][1] else None
+    if not ranked or not ranked[0][1][0] < POOR <= min(ranked[0][1][1], ranked[-1][1][0]):
+        return None
+    return ranked[0][0], ranked[0][1][0]
 
 
 def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:

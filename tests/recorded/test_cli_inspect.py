@@ -16,6 +16,7 @@ from command import MAPS, call, rows
 from places import POSES, grid_of
 
 import imgloc
+from imgloc.answers.scanmotion import odd_laser
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D
 from imgloc.simulation.scans import simulate_ranges
@@ -194,6 +195,14 @@ def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> 
         run = call("inspect", tmp_path / "log.npz", "--json", "--no-cache")
         assert codes(run) == found
         assert rows(run.out)[-1]["next"].startswith("imgloc track")
+        assert (odd_laser(replace(scans, scans=named), scans.odom) is not None) == bool(found)
+    # Scans that agree with no other one say nothing of the place that they are from.
+    rng = np.random.default_rng(1)
+    odd = [
+        replace(scan, ranges=rng.uniform(1, 8, len(scan.ranges))) if scan.laser == "b" else scan
+        for scan in (replace(s, laser="ab"[k % 2]) for k, s in enumerate(right.scans))
+    ]
+    assert odd_laser(replace(right, scans=tuple(odd)), right.odom) is None
 
 
 def text_of(scans: ScanSet, robot: bool = True) -> list[str]:
