@@ -35,7 +35,7 @@ _CELL, _NOISE = number("scanmotion.cell")
 AGREES, POOR, _HALF, _TWO = number("scanmotion.agrees")
 _LAGS = number("scanmotion.lags")
 _ANGLES = number("scanmotion.angles")
-_MOUNTS = np.deg2rad(np.arange(5.0, 360.0, 5.0))  # that a place may be turned by
+_STEP: float = number("scanmotion.mounts")  # between two turns of a place that are tried
 _SIDE = 4000  # cells of an image of a scan; readings so far off are errors
 Scan = Callable[[LaserScan], LaserScan]
 Odometry = Callable[[FloatArray], FloatArray]
@@ -98,7 +98,10 @@ def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float] | None:
         share = partial(_share, own.scans.__getitem__, path, _pairs(path, own))
         here, seen = share(Way("")), np.median([np.count_nonzero(s.valid) for s in own.scans])
         if seen >= _LEAST and not math.isnan(here):
-            turned = (Way("", scan=partial(_turned, turn=turn)) for turn in _MOUNTS)
+            turned = (
+                Way("", scan=partial(_turned, turn=turn))
+                for turn in np.arange(_STEP, math.tau, _STEP)
+            )
             shares[name] = here, max(map(share, turned)) if here < POOR else here
     ranked = sorted(shares.items(), key=lambda item: item[1])
     if not ranked or not ranked[0][1][0] < POOR <= min(ranked[0][1][1], ranked[-1][1][0]):
