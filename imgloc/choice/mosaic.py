@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from imgloc.features.pyramid import Level
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihoods.slices import cell_offsets, over_slices
+from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import BoolArray, FloatArray
 from imgloc.options import Prior
+from imgloc.threads import over_slices
 
 CELLS = 1 << 18
 """Approximate number of cells of a mosaic: its sums and their summands stay in the cache."""
@@ -117,7 +118,7 @@ def best_fits(
         found = [np.zeros_like(image)]
 
         def work(
-            share: Sequence[list[list[int]]],
+            share: Iterable[list[list[int]]],
             image: npt.NDArray[np.uint8] = image,
             shape: tuple[int, int] = tile.shape,
             n: int = len(tile.maps),

@@ -5,7 +5,7 @@ run down the rows, the nearest obstacle of every cell is one running minimum. Th
 per direction, a factor of the map's resolution better than the paper's appendix.
 """
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from skimage import measure
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array, FloatArray
+from imgloc.threads import over_slices
 
 _CM = 100.0
 _MAX_CM = np.iinfo(np.uint16).max
@@ -85,26 +86,23 @@ def ray_distances(
     image = watertight(occupied)
     limit = np.uint16(round(max_range * _CM))
 
-    def direction(k: int) -> None:
-        # A rotated map serves the two directions along its columns.
-        canvas, turn = _rotate(image, 2 * np.pi * k / n_psi)
-        # From the centres of blocks, counted in blocks.
-        linear = turn[:, :2]
-        offset = turn[:, 2] + linear.sum(axis=1) * (factor - 1) / 2
-        turn = np.column_stack((factor * linear, offset))
-        _look(canvas, turn, solid, resolution, limit, stack[k])
-        if n_psi % 2 == 0:
-            back = turn.copy()
-            back[1] = -turn[1]
-            back[1, 2] += len(canvas) - 1
-            _look(canvas[::-1], back, solid, resolution, limit, stack[k + n_psi // 2])
+    def work(share: Iterable[int]) -> None:
+        for k in share:
+            # A rotated map serves the two directions along its columns.
+            canvas, turn = _rotate(image, 2 * np.pi * k / n_psi)
+            # From the centres of blocks, counted in blocks.
+            linear = turn[:, :2]
+            offset = turn[:, 2] + linear.sum(axis=1) * (factor - 1) / 2
+            turn = np.column_stack((factor * linear, offset))
+            _look(canvas, turn, solid, resolution, limit, stack[k])
+            if n_psi % 2 == 0:
+                back = turn.copy()
+                back[1] = -turn[1]
+                back[1, 2] += len(canvas) - 1
+                _look(canvas[::-1], back, solid, resolution, limit, stack[k + n_psi // 2])
 
     turns = range(n_psi // 2 if n_psi % 2 == 0 else n_psi)
-    pool = ThreadPoolExecutor(max(1, threads))
-    try:
-        list(pool.map(direction, turns))
-    finally:
-        pool.shutdown(cancel_futures=True)  # where somebody stops it
+    over_slices(work, turns, threads)
     return stack
 
 

@@ -13,6 +13,7 @@ from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.features.raydistance import HIT, SURFACE, watertight
 from imgloc.model import BoolArray, Float32Array, FloatArray, OrientedPoints
+from imgloc.threads import while_wanted
 
 WAYS = ("march", "polar")
 
@@ -95,7 +96,7 @@ def visibility_frames(
     else:
         image, reach = watertight(occupied), min(horizon / resolution, np.hypot(*occupied.shape))
         rows = max(1, min(_SAMPLES // int(reach / _STEP + 1), _MOST_ROWS) // max(1, len(front)))
-    for first in range(0, len(known), rows):
+    for first in while_wanted(range(0, len(known), rows)):
         some = known[first : first + rows]
         rays = surface.alpha[some] + psi[front, None]
         if by == "march":

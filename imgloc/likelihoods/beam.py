@@ -1,6 +1,6 @@
 """The beam model, eq. 2, for every pose of a lattice: the paper's "Table" as image operations."""
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -10,6 +10,7 @@ from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.numbers import number
+from imgloc.threads import over_slices
 
 _CM = 100.0
 _REACH = 127  # steps that the table of log densities reaches in front of the reading
@@ -113,8 +114,8 @@ def beam(
     out = np.zeros((k, *distances.shape[1:]), np.float32)
     rows = max(1, _BLOCK // max(1, distances.shape[2]))
 
-    def heading(index: int) -> None:
-        for top in range(0, distances.shape[1], rows):
+    def work(share: Iterable[tuple[int, int]]) -> None:
+        for index, top in share:
             total = out[index, top : top + rows]
             ahead, offset = np.empty((2, *total.shape), np.uint16)
             entry, value = np.empty(total.shape, np.uint8), np.empty(total.shape, np.float32)
@@ -128,11 +129,8 @@ def beam(
                 cv2.LUT(entry, table, dst=value)
                 cv2.add(total, value, dst=total)  # eq. 2, its logarithm
 
-    pool = ThreadPoolExecutor(threads)
-    try:
-        list(pool.map(heading, range(k)))
-    finally:
-        pool.shutdown(cancel_futures=True)  # where somebody stops it
+    tops = range(0, distances.shape[1], rows)
+    over_slices(work, [(index, top) for index in range(k) for top in tops], threads)
     return out
 
 

@@ -7,7 +7,7 @@ compares one row of `visibility` with ``|p_i|``. Pairs are computed in blocks th
 without a matrix product, so that a vote does not depend on the block of its pair.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin
-from imgloc.likelihoods.slices import check_arguments, output_stack, over_slices
+from imgloc.likelihoods.slices import check_arguments, output_stack
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
+from imgloc.threads import over_slices
 
 # Pairs of a block: 512 KB of float64 for each of its two buffers. Smaller blocks cost more calls,
 # larger ones more cache misses.
@@ -305,11 +306,11 @@ def vote(
     size = max(((i.stop - i.start) * (j.stop - j.start) for i, j in blocks), default=0)
     # A stack costs about as much as half a vote for each of its cells.
     threads = min(threads, 1 + 2 * len(pairs.w) * len(pairs.x) // out.size)
-    spare: list[Float32Array] = []
+    spare, first = list[Float32Array](), iter([out])
 
-    def work(share: Sequence[tuple[slice, slice]]) -> None:
-        stack = out
-        if share and share[0] != blocks[0]:
+    def work(share: Iterable[tuple[slice, slice]]) -> None:
+        stack = next(first, None)
+        if stack is None:
             stack = np.zeros_like(out)
             spare.append(stack)
         voter = Voter(pairs, stack, size, once)

@@ -5,15 +5,16 @@ draws the turned scan as a kernel. ``remap`` leaves the scan upright and turns t
 same shifts serve every heading, at the price of two interpolations.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.likelihoods.shift import Summable, shift_sum, tiles_of
-from imgloc.likelihoods.slices import Finish, over_slices
+from imgloc.likelihoods.slices import Finish
 from imgloc.model import Float32Array, FloatArray, IntArray
+from imgloc.threads import over_slices
 
 
 def filter2d_stack(
@@ -45,7 +46,7 @@ def filter2d_stack(
     components = np.asarray(image, dtype=np.float64)
     _, height, width = image.shape
 
-    def work(share: Sequence[int]) -> None:
+    def work(share: Iterable[int]) -> None:
         for k in share:
             # Points that miss the map from every pose would only make the kernel larger.
             near = (np.abs(offsets[k]) < (height, width)).all(axis=1)
@@ -88,7 +89,7 @@ def remap_stack(
     """
     height, width = image.shape[:2]
 
-    def work(share: Sequence[int]) -> None:
+    def work(share: Iterable[int]) -> None:
         for k in share:
             theta = float(thetas[k])
             turn, shape = _turn((height, width), theta)

@@ -6,7 +6,7 @@ is cut into tiles so small that accumulator and source stay in the second-level 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import as_strided
 
-from imgloc.likelihoods.slices import Finish, box_of, over_slices, reach_of
+from imgloc.likelihoods.slices import Finish, box_of, reach_of
 from imgloc.model import BoolArray, Float32Array, IntArray
+from imgloc.threads import over_slices
 
 #: An image of the type that holds its sums: uint8, uint16, int16 or float32.
 Summable = npt.NDArray[Any]
@@ -118,7 +119,7 @@ def shift_stack(
     """
     largest = max((math.prod(t.shape) for t in tiles), default=0)
 
-    def work(share: Sequence[int]) -> None:
+    def work(share: Iterable[int]) -> None:
         scratch = np.empty(largest, dtype=images[0].dtype)
         for k in share:
             out[k].fill(0)

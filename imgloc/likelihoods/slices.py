@@ -1,16 +1,13 @@
-"""Parts of every engine: offsets in cells, the stack to fill, threads over its slices."""
+"""Parts of every engine: offsets in cells, and the stack to fill."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, FloatArray, IntArray
-
-Unit = TypeVar("Unit")
 
 #: A stack (K, H, W), or a slice of one: float32, or uint8 where every sum fits a byte.
 Stack = npt.NDArray[Any]
@@ -156,29 +153,6 @@ def finishing(
             np.multiply(image, mask, out=image)
 
     return finish
-
-
-def over_slices(
-    work: Callable[[Sequence[Unit]], object], units: Sequence[Unit], threads: int
-) -> None:
-    """Call ``work(share)`` for disjoint shares of `units`, one share per thread.
-
-    With one share per thread, and not one task per unit, `work` allocates its scratch only once.
-
-    Examples
-    --------
-    >>> done = []
-    >>> over_slices(done.extend, [0, 1, 2], threads=2)
-    >>> sorted(done)
-    [0, 1, 2]
-    """
-    threads = min(threads, len(units))
-    if threads <= 1:
-        work(units)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        for future in [pool.submit(work, units[i::threads]) for i in range(threads)]:
-            future.result()
 
 
 def finite_points(xy: npt.ArrayLike) -> FloatArray:

@@ -1,13 +1,14 @@
 """The DFT engine: a heading's correlation as a product of spectra, however many the readings."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihoods.slices import Finish, over_slices, reach_of
+from imgloc.likelihoods.slices import Finish, reach_of
 from imgloc.model import Float32Array, IntArray
+from imgloc.threads import over_slices
 
 # Largest error of a correlation in float32, as a share of the norms of image and kernel multiplied,
 # measured on both OpenCV majors. Rounding recovers integers up to an error of 0.5; the margin is
@@ -164,7 +165,7 @@ def spectral_stack(
     kind = VectorSpectrum if len(image) == 2 else Spectrum
     spectrum = kind(image, reach, exact, exact and needs_double(image[0], offsets))
 
-    def work(share: Sequence[tuple[int, int | None]]) -> None:
+    def work(share: Iterable[tuple[int, int | None]]) -> None:
         scratch = spectrum.scratch()
         for k, opposite in share:
             spectrum.transform(offsets[k][near[k]], weights[k][:, near[k]], scratch)

@@ -1,8 +1,6 @@
 """Work off the event loop: so much at once, so much that waits, and the rest is refused."""
 
 import asyncio
-import ctypes
-import threading
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,57 +9,30 @@ from typing import Any, TypeVar
 
 from imgloc.live.guard import Gone, Receive, ending
 from imgloc.live.problems import Refused
+from imgloc.threads import Unwanted, wanted
 
 T = TypeVar("T")
-_AGAIN = 1.0  # seconds until what still runs is stopped again
-
-
-class Unwanted(BaseException):
-    """Nobody waits for a piece of work any more: raised where it runs, between two steps of it."""
 
 
 class Piece:
-    """Work that can be stopped while it runs."""
+    """Work that ends between two of its steps once nobody waits for it, in whatever thread."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
-        self._work, self._lock, self._thread, self._wanted = work, threading.Lock(), 0, True
+        self._work, self._wanted = work, True
 
     def __call__(self) -> Any:
-        """Do it, in any thread."""
-        with self._lock:
-            if not self._wanted:
-                raise Unwanted
-            self._thread = threading.get_ident()
+        """Do it; :class:`~imgloc.threads.Unwanted` if it is stopped."""
+        if not self._wanted:
+            raise Unwanted
+        before = wanted.set(lambda: self._wanted)
         try:
-            try:
-                return self._work()
-            finally:
-                self._leave()
-        except Unwanted:  # perhaps while it left
-            self._leave()
-            raise
+            return self._work()
+        finally:
+            wanted.reset(before)
 
-    def _leave(self) -> None:
-        with self._lock:  # what is raised here must not come later, in the work of others
-            _raise(self._thread, None)
-            self._thread = 0
-
-    def stop(self) -> bool:
-        """Let it raise :class:`Unwanted` where it is, or where it begins; whether it still runs.
-
-        What is raised in a callback of the interpreter is lost: ask again a little later.
-        """
-        with self._lock:
-            self._wanted = False
-            if self._thread:
-                _raise(self._thread, Unwanted)
-            return bool(self._thread)
-
-
-def _raise(thread: int, what: type[BaseException] | None) -> None:
-    """Raise an exception in a thread, or none if it has not been raised there yet."""
-    error = None if what is None else ctypes.py_object(what)
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), error)
+    def stop(self) -> None:
+        """Let it end at its next step, or where it begins."""
+        self._wanted = False
 
 
 @dataclass
@@ -76,8 +47,8 @@ class Lane:
 
     So many pieces may be `waiting` besides those that run in its `threads`; with none, the work
     that comes is a future already. Beyond it the client with most places gives one that waits to a
-    client with fewer; others are refused. A lane that `stops` stops what nobody waits for where it
-    runs, others before it runs.
+    client with fewer; others are refused. A lane that `stops` stops what nobody waits for between
+    two of its steps, others before it runs.
     """
 
     def __init__(self, waiting: int, threads: int = 0, *, stops: bool = False) -> None:
@@ -119,11 +90,7 @@ class Lane:
             raise
         finally:
             if self._stops:
-                self._stop(piece)
-
-    def _stop(self, piece: Piece) -> None:
-        if piece.stop():
-            asyncio.get_running_loop().call_later(_AGAIN, self._stop, piece)
+                piece.stop()
 
     def _busy(self) -> Refused:
         return Refused("busy", f"{self.pending} requests under way; come back in a second", retry=1)
