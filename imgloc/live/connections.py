@@ -8,7 +8,6 @@ those that ask whether the service runs are answered, the others are refused.
 
 import asyncio
 import socket
-from itertools import count
 from typing import Any
 
 import uvicorn
@@ -22,7 +21,7 @@ _ROOM = 8  # connections beyond the bound
 _FRESH = 0.01  # seconds that a client has at least until it has to make room
 _LOOK = 0.25  # seconds between two looks at all connections
 _PAUSE = 0.005
-_MANY = 64  # connections accepted at most until the loop has its turn
+_MANY = 64  # connections accepted at most in a turn of the loop
 _NEXT = 0.1  # seconds until the next request of a client that asks again before it has an answer
 
 
@@ -95,22 +94,50 @@ class Gate:
         self._server, self._bounds = server, bounds
         self._there: Any = server.server_state.connections
         self._loop, self._closing = asyncio.get_running_loop(), dict[Any, float]()
+        self._held_up, self._coming = asyncio.Event(), set[asyncio.Task[Any]]()
 
     async def accept(self, one: socket.socket) -> None:
-        """Accept who comes to a socket, for ever."""
-        for number in count():
-            while len(self._there) >= self._bounds.connections + _ROOM:
-                await asyncio.sleep(0 if self.make_room() else _PAUSE)
-            try:
-                client, _ = await self._loop.sock_accept(one)
+        """Accept who comes to a socket that does not block, for ever."""
+        try:
+            while True:
+                self._loop.add_reader(one, self._let_in, one)
+                await self._held_up.wait()
+                self._loop.remove_reader(one)
+                self._held_up.clear()
+                full = self._room <= 0 and self.make_room()
+                await asyncio.sleep(0 if full else _PAUSE)
+        finally:
+            self._loop.remove_reader(one)
+
+    @property
+    def _room(self) -> int:
+        return self._bounds.connections + _ROOM - len(self._there) - len(self._coming)
+
+    def _let_in(self, one: socket.socket) -> None:
+        """Accept all who are there: a turn of the loop may wait for a thread that computes."""
+        try:
+            for _ in range(min(self._room, _MANY)):
+                client = one.accept()[0]
+                client.setblocking(False)
                 if has_gone(client):  # a burst of these is not to hold up the next one
                     client.close()
-                    if number % _MANY == 0:
-                        await asyncio.sleep(0)
                     continue
-                await self._loop.connect_accepted_socket(self._made, client)
-            except OSError:  # there is no descriptor, or the client has gone
-                await asyncio.sleep(_PAUSE)
+                coming = self._loop.create_task(
+                    self._loop.connect_accepted_socket(self._made, client)
+                )
+                self._coming.add(coming)
+                coming.add_done_callback(self._came)
+            if self._room <= 0:
+                self._held_up.set()
+        except BlockingIOError:
+            pass
+        except OSError:  # there is no descriptor, or the client has gone
+            self._held_up.set()
+
+    def _came(self, coming: "asyncio.Task[Any]") -> None:
+        self._coming.discard(coming)
+        if not coming.cancelled():
+            coming.exception()  # it has gone meanwhile
 
     def _made(self) -> _Connection:
         made = _Connection(self._server.config, self._server.server_state, {}, self._loop)
