@@ -63,11 +63,23 @@ def bent(grid):
     return replace(grid, occupied=occupied, free=grid.free & ~occupied)
 
 
-def walls_in(features):
-    """What the scans of the world say together about the walls of a map."""
+def furnished(grid):
+    """The world with a box for each 2 square metres of its room."""
+    occupied, rng = grid.occupied.astype(np.uint8), np.random.default_rng(3)
+    free = np.argwhere(grid.free)
+    for row, column in rng.choice(free, int(len(free) * grid.resolution**2 / 2)).tolist():
+        high, wide = rng.integers(20, 60, 2).tolist()
+        cv2.rectangle(occupied, (column, row), (column + wide, row + high), 1, -1)
+    return replace(grid, occupied=occupied > 0, free=grid.free & (occupied == 0))
+
+
+def walls_in(features, scans=None):
+    """What scans of the world say together about the walls of a map."""
     evidence = [
         wall_evidence(features, found.readings, found.poses, Options())
-        for found in (pipeline.find_modes(features, scan, Options()) for scan in world()[1].scans)
+        for found in (
+            pipeline.find_modes(features, scan, Options()) for scan in scans or world()[1].scans
+        )
     ]
     return walls_of(np.array(evidence), Shared(1.02))
 
@@ -130,10 +142,17 @@ def test_scans_tell_together_what_walls_a_map_has():
     assert walls_in(MapFeatures(bent(world()[0]))).bent == BENT
 
 
+def test_furniture_that_no_map_shows_is_no_bent_wall():
+    sensor = Sensor(fov=2 * np.pi, rays=181, range_max=30.0)
+    there = furnished(render(WORLDS["curved"](), 0.01))
+    scans = simulate(there, 6, 4, sensor, there).scans
+    assert walls_in(features(), scans) == Shared(1.02)
+
+
 def test_what_is_known_of_the_walls_is_kept_where_scans_say_no_more():
     told = np.zeros((3, 4, 2)) + [0.0, -20.0]
     assert walls_of(told, Shared(1.0, 7, 0.3)) == Shared(1.0, 7, 0.3)
-    told[:, 1, 0] = 4.9  # nats per scan: too few for thinner walls
+    told[:, 1, 0] = told[:, 0, 1] = 4.9  # nats per scan: too few for thinner walls, or bent ones
     assert walls_of(told, Shared()) == Shared()
 
 

@@ -17,7 +17,7 @@ from imgloc.numbers import number
 from imgloc.options import SCALES, Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import endpoints, refine
-from imgloc.search.rescore import piece_evidence, pieces, score_readings
+from imgloc.search.rescore import piece_evidence, pieces, score_readings, things_of_their_own
 
 _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
@@ -25,7 +25,7 @@ THINNEST: int = number("adapt.thinner")
 _SCALES = number("adapt.scales")  # factors from which the search for a scale starts
 THINNER: int = number("adapt.walls")
 """Cells that walls are tried to lose on each side."""
-_GAIN = number("adapt.gain")  # nats per scan that thinner walls have to gain
+_GAIN = number("adapt.gain")  # nats per scan that thinner walls, or bent ones, have to gain
 BENT: float = number("adapt.bent")
 """Standard deviation of the place of a piece of wall, metres, on a map that is bent."""
 # A map that others drew, as one scan tells: metres that its walls are thick at least, and that
@@ -62,22 +62,25 @@ def wall_evidence(
     Returns
     -------
     (T, 2) float array
-        Nats of the best pose, with walls that are 0 to T - 1 cells thinner, straight and bent.
+        Nats of the best pose, with walls that are 0 to T - 1 cells thinner, straight and bent. A
+        piece of the scan may be a thing of its own: moved furniture is no bent wall.
     """
     out = np.full((THINNER + 1, 2), -np.inf)
     for n in range(THINNER + 1 if features.peels else 1):
-        out[n] = _pieces(features, n, BENT, readings, places[:_PLACES], options).sum(axis=1)
+        told = _pieces(features, n, BENT, readings, places[:_PLACES], options, things=True)
+        out[n] = told.sum(axis=1)
     return out
 
 
 def _pieces(
     features: MapFeatures, thinner: int, bent: float, readings: Readings, places: FloatArray,
-    options: Options,
+    options: Options, *, things: bool = False,
 ) -> FloatArray:  # fmt: skip
     """Evidence of each piece of wall where a scan fits best, straight and bent: (2, P) nats.
 
-    The walls are so many cells thinner, and bent by so many metres. The evidence is -inf if a
-    sensor can be at none of the places, (C, 3) or with a scale (C, 4).
+    The walls are so many cells thinner, and bent by so many metres, or a piece is one of `things`
+    of their own. The evidence is -inf if a sensor can be at none of the places, (C, 3) or with a
+    scale (C, 4).
     """
     there, straight = features.thinner(thinner), options.fused.model
     poses = refine(places, readings.xy, there.field, sigmas=_SIGMAS)
@@ -87,6 +90,9 @@ def _pieces(
         return np.full((2, len(parts)), -np.inf)
     distance = endpoints(poses, readings.xy, there.field)[2][:, order]
     told = [piece_evidence(distance, parts, model) for model in (straight, straight.bending(bent))]
+    if things:
+        own = things_of_their_own(parts, len(order), straight)
+        told = [np.logaddexp(one, own) for one in told]
     return np.stack([one[one.sum(axis=1).argmax()] for one in told])
 
 
@@ -107,7 +113,7 @@ def walls_of(evidence: FloatArray, now: Shared) -> Shared:
     if straight[n] - straight[now_at] <= _GAIN:
         n = now_at
     thinner = now.thinner if n == now_at else n
-    return replace(now, thinner=thinner, bent=BENT if bent[n] > straight[n] else now.bent)
+    return replace(now, thinner=thinner, bent=BENT if bent[n] - straight[n] > _GAIN else now.bent)
 
 
 def drawn_gain(
