@@ -24,8 +24,8 @@ from tools.script import parser_of, table_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
-    "__about__", "doors", "equality", "errors", "pose", "texts", "ranges", "numbers", "model",
-    "geometry", "options", "robot", "io", "features", "likelihoods", "search", "pipeline",
+    "__about__", "doors", "equality", "errors", "threads", "pose", "texts", "ranges", "numbers",
+    "model", "geometry", "options", "robot", "io", "features", "likelihoods", "search", "pipeline",
     "answers", "choice", "filters", "simulation", "runs", "output", "live", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")
@@ -44,9 +44,9 @@ LIMITS: Mapping[str, tuple[int, int]] = {
     "options of all commands": (464, 250),
     "numbers": (336, 150),
     "numbers that nobody measured": (214, 40),
-    "docstrings that begin with What, Whether, How, Of": (16, 0),
-    "docstrings in which things say or tell": (18, 0),
-    "chains of three of": (3, 0),
+    "docstrings that begin with What, Whether, How, Of": (0, 0),
+    "docstrings in which things say or tell": (0, 0),
+    "chains of three of": (0, 0),
 }
 """What is counted: the limit, which is red above and only falls, and the goal."""
 _BEGINS = re.compile(r"(What|Whether|How|Of)\b")

@@ -321,7 +321,7 @@ def _configured(words: Sequence[str], where: str, after: int) -> tuple[_Message,
     """``type start fov res max accuracy mode n r.. [m rem..]``, and the words behind.
 
     `after` words follow at the least: old messages have no number of remissions, which only the
-    number of words tells.
+    number of words shows.
     """
     n = int(words[8])
     start, fov, step, reach = map(float, words[2:6])

@@ -7,7 +7,7 @@ waiting    a map that is ready, and a scan                 the first scan: tryin
 trying     a pose of which the belief is sure              it is there: confirmed; `tries`: given up
 confirmed  its pose to be published                        that it was: quiet
 quiet      nothing: whoever was told the pose goes on      start(): waiting
-given up   nothing: this place does not say where it is    start(): waiting
+given up   nothing: this place is like others              start(): waiting
 ========== =============================================== ========================================
 
 A new map, a reset and a request each call start(). The belief is that of a filter, so a place is

@@ -1,7 +1,7 @@
 """From the strokes of a drawing to maps: what each is, how large, and where a building is.
 
-The name of a layer or block tells most of it, in any of several languages. What no name tells the
-shapes do: an arc with a straight leaf is a door, and the widths of doors tell the unit.
+The name of a layer or block has most of it, in any of several languages. Where no name has it, the
+shapes do: an arc with a straight leaf is a door, and the widths of doors are a measure of the unit.
 """
 
 import re

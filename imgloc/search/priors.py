@@ -105,7 +105,7 @@ def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArr
 
 
 def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
-    """Whether each pose (C, 3), grid frame, is in the prior and can hold a sensor: (C,) bool."""
+    """Return whether each pose (C, 3), grid frame, is in the prior and can hold a sensor: (C,)."""
     cells = cell_of(poses[:, :2], features.grid.resolution)
     ok = inside(cells, features.grid.info)
     ok[ok] = features.standable[tuple(cells[ok].T)]
