@@ -10,6 +10,7 @@ from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.numbers import number
+from imgloc.options import EvidenceModel
 from imgloc.threads import over_slices
 
 _CM = 100.0
@@ -25,11 +26,11 @@ def beam(
     no_return: BoolArray,
     thetas: FloatArray,
     *,
-    sigma: float = number("beam.sigma"),
+    sigma: float = EvidenceModel().sigmas[0],
     sigma_theta: float = 0.0,
-    hit: float = number("beam.hit"),
+    hit: float = EvidenceModel.hit,
     short: float = number("beam.short"),
-    span: float = number("beam.span"),
+    span: float = EvidenceModel.span,
     lost: float = 1.0,
     range_max: float = np.inf,
     threads: int = 1,

@@ -8,11 +8,9 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array, Likelihood
-from imgloc.numbers import number
 from imgloc.options import DEFAULTS, LOG_METHODS, Calibration
 
-# Reach of a kernel in theta to either side, standard deviations.
-_REACH = number("posterior.reach")
+_REACH = 5.0  # deviations of a Gaussian to either side: less than a millionth is beyond them
 _CHUNK = 1 << 16  # shares at a time, so that they stay in the cache
 _NOTHING = -104.0  # nats; the exponential of less is 0 in 32 bits
 

@@ -26,7 +26,8 @@ from typing import Any, Generic, TypeVar
 from imgloc.choice.choose import OPTIONS, Choice, Opened, bounds_at, choose, search
 from imgloc.choice.folder_index import MapIndex, index_of
 from imgloc.errors import ConfigError, expect
-from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking, start_of
+from imgloc.filters.evidence import DEVIATION
+from imgloc.filters.follow import Follower, Moment, Tracking, start_of
 from imgloc.live.line import Dropped, Key, Line
 from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
