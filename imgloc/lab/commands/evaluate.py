@@ -51,7 +51,7 @@ def evaluate(
     ),
     sensor: Annotated[Sensor, Without("range_max", "mount")],
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     chosen: Chosen,
     taken: opt.Resources,
     method: tuple[str, ...] = option(
