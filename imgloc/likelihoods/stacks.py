@@ -135,7 +135,7 @@ def stack_of(
     if method == "beam":
         distances = f.ray_distances_within(memory_budget or f.memory_budget)
         return beam(
-            distances, scan.ranges, scan.angles, scan.valid, scan.no_return, thetas,
+            distances, scan.ranges, scan.angles, scan.valid, thetas,
             sigma=cell / 2, sigma_theta=heading_sigma(len(thetas)), threads=threads,
         )  # fmt: skip
     points = scan_points(scan.ranges, scan.angles, scan.valid)

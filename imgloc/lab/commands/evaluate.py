@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Given, Without
+from imgloc.cli.command import Given, Only, Without
 from imgloc.cli.console import LOG, emit, progress, say, width
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.io.files import display, is_there, map_name
@@ -14,7 +14,6 @@ from imgloc.options import (
     TOLERANCES,
     Cell,
     Chosen,
-    Factor,
     Logs,
     Mounting,
     Reach,
@@ -53,6 +52,7 @@ def evaluate(
     mounting: Mounting,
     reading: opt.MapSize,
     chosen: Chosen,
+    logs: Annotated[Logs, Only("scale")],
     taken: opt.Resources,
     method: tuple[str, ...] = option(
         ALL_METHODS,
@@ -69,9 +69,6 @@ def evaluate(
         None,
         "Recorded scans with poses, instead of simulated ones; once for each map.",
         metavar="FILE",
-    ),
-    range_scale: Factor = option(
-        1.0, "Metres that 1 stands for in the ranges of recorded scans: 0.001 for millimetres."
     ),
     tolerance: list[Tolerance] | None = option(
         None,
@@ -110,7 +107,7 @@ def evaluate(
     laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
     if scans is None:
         sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
-    recorded = Logs(scale=range_scale, range_max=range_max)
+    recorded = replace(logs, range_max=range_max)
     how = inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped))
     table, notes = list[dict[str, Any]](), list[str]()
     with warned(also_printed=True) as said:
@@ -147,7 +144,8 @@ def evaluate(
                 if as_json:
                     emit(to_json(rows[-1]))
             table += rows
-            if file is not None and not any(map(_works, rows)):
+            works = (row["success"][-1]["at_1"]["value"] >= 0.5 for row in rows)
+            if file is not None and not any(works):
                 notes += _doubts(inputs.item_of(path, file), read, how, cell, desk)
     if not as_json:
         emit(evaluation_tables(table, width()))
@@ -212,8 +210,3 @@ def _map_of(path: Path) -> Path:
     if not is_there(found):
         raise MapError(f"{display(path)}: no such file")
     return found
-
-
-def _works(row: dict[str, Any]) -> bool:
-    """Return whether a method finds most of the poses."""
-    return bool(row["success"][-1]["at_1"]["value"] >= 0.5)
