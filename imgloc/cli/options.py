@@ -85,7 +85,7 @@ ToleranceOf = Annotated[
         "hit. [default: 0.5,10]",
         "--tolerance",
         metavar="M,DEG",
-        parse=metres_degrees,
+        parse=lambda text: Tolerance(*metres_degrees(text)),
     ),
 ]
 

@@ -19,10 +19,9 @@ from imgloc.options import (
     Reach,
     Seed,
     Sensor,
-    Tolerance,
 )
 from imgloc.ranges import Within, option
-from imgloc.texts import metres_degrees, names
+from imgloc.texts import names
 
 if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
@@ -70,13 +69,7 @@ def evaluate(
         "Recorded scans with poses, instead of simulated ones; once for each map.",
         metavar="FILE",
     ),
-    tolerance: list[Tolerance] | None = option(
-        None,
-        "Distance in metres and turn in degrees from the true pose up to which an answer is a "
-        "hit, beside the usual ones. May be repeated; the last one decides what is wrong.",
-        metavar="M,DEG",
-        parse=lambda text: Tolerance(*metres_degrees(text)),
-    ),
+    tolerance: opt.ToleranceOf = TOLERANCES[-1],
     theta_step: opt.StepOf | None = None,
     cell: Cell = 0.1,
     as_json: opt.AsJson = False,
@@ -137,7 +130,8 @@ def evaluate(
                 with progress(f"{name}: {known.method}", len(trials), lines=False) as advance:
                     found = evaluation.evaluate(
                         features, trials, known,
-                        tolerances=(*TOLERANCES, *(tolerance or ())), advance=advance,
+                        tolerances=tuple(dict.fromkeys((*TOLERANCES, tolerance))),
+                        advance=advance,
                     )  # fmt: skip
                 LOG.info("%s: %s: S %.2f", name, known.method, found.summary.index.value)
                 rows.append(found.as_row(name, {"map": display(path), **source}))
