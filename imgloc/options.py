@@ -32,10 +32,8 @@ Heading = Annotated[float, Within(-1e6, 1e6, "radians")]
 Step = Annotated[float, Within(1e-4, math.tau, "radians")]
 Share = Annotated[float, Within(0, 1, "a share")]
 Nats = Annotated[float, Within(0, math.inf, "nats")]
-SCALES = (
-    0.5,
-    2,
-)  #: factors on all readings that can be stated or found: the least and the greatest
+SCALES = 0.5, 2
+"""The least and the greatest factor on all readings that can be stated or found."""
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Count = Annotated[int, Within(1, 1e12, "")]

@@ -133,10 +133,14 @@ class MapFeatures:
         """Distance to the nearest occupied cell, in cells, for casting rays."""
         return read_only(distance_image(self.grid.occupied))
 
-    @cached_property
+    @property
     def furnished(self) -> "MapFeatures | None":
         """Features of the map on which all that is movable stands; None if nothing is."""
-        return None if self.grid.movable is None else replace(self, grid=self.grid.furnished)
+        return None if self.grid.movable is None else self._furnished
+
+    @cached_property
+    def _furnished(self) -> "MapFeatures":
+        return replace(self, grid=self.grid.furnished)
 
     @property
     def both(self) -> "tuple[MapFeatures, ...]":

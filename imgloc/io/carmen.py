@@ -16,7 +16,7 @@ import logging
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -164,7 +164,7 @@ def _choose(counts: Counter[str], topic: str | None, name: str) -> str:
 def _message(words: Sequence[str], where: str) -> _Message:
     """The message of a line; a ScanError that names the word that is missing or is no number."""
     word = words[0]
-    read = _ROBOT if word.startswith("ROBOTLASER") else _OTHER.get(word, _raw)
+    read = _robot_laser if word.startswith("ROBOTLASER") else _OTHER.get(word, _raw)
     try:
         return read(words, where)
     except (ValueError, IndexError):
@@ -273,7 +273,6 @@ def _raw(words: Sequence[str], where: str) -> _Message:
     return _configured(words, where, 3)[0]
 
 
-_ROBOT: Callable[[Sequence[str], str], _Message] = _robot_laser
 _OTHER = {"FLASER": _flaser, "RLASER": _flaser, "Laser": _laser, "L": _centimetres}
 
 

@@ -121,8 +121,6 @@ def sweep(
     a sigma of its own for the cells. The arguments and errors are those of
     :func:`imgloc.lab.evaluation.evaluate`.
     """
-    if not len(scans) or scans.poses is None:
-        raise ConfigError("expected at least one scan, and the true pose of each")
     log = options.method in LOG_METHODS
     configurations = (
         ((0.0, 0.0),) if log else tuple((xy, th) for xy in SIGMAS_XY for th in SIGMAS_THETA)

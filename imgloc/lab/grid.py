@@ -41,9 +41,8 @@ _EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 class GridOptions(ScannedOptions):
     """Settings of the grid filter."""
 
-    method: Annotated[str, OneOf(*METHODS)] = (
-        "ght-v"  #: method whose likelihood multiplies the belief on the whole map
-    )
+    #: method whose likelihood multiplies the belief on the whole map
+    method: Annotated[str, OneOf(*METHODS)] = "ght-v"
     #: least likelihood of a cell, as a share of a uniform one, so that no cell is ruled out
     floor: Share = number("GridOptions.floor")
     #: mass within a box above which only the box is computed

@@ -44,9 +44,8 @@ class ParticleOptions(ScannedOptions):
     error: Annotated[float, Within(1e-6, 1e6, "nats")] = number("ParticleOptions.error")
     #: KLD-sampling: quantile of the normal distribution; 2.33 is 99 %
     quantile: Annotated[float, Within(0, 10, "deviations")] = number("ParticleOptions.quantile")
-    reset_by: Annotated[str, OneOf(*ALL_METHODS)] = (
-        "ght-v"  #: method whose p(x | z) new particles are drawn from
-    )
+    #: method whose p(x | z) new particles are drawn from
+    reset_by: Annotated[str, OneOf(*ALL_METHODS)] = "ght-v"
     #: rates of the long and the short mean of the likelihood
     alphas: tuple[Share, Share] = number("ParticleOptions.alphas")
     #: factor by which the short mean may lie below the long one without a reset

@@ -104,7 +104,7 @@ def correlate(
     [(0, 1, 0), (1, 0, 1)]
     """
     points, headings = finite_points(xy), np.asarray(thetas, dtype=np.float64)
-    frame = frame_of(image != 0, len(headings), where, out, (np.float32, np.uint8))
+    frame = frame_of(image != 0, len(headings), where, out)
     view, image = frame.view, image[frame.window]
     bytes_fit = image.dtype == np.uint8 and len(points) * int(image.max(initial=0)) <= 255
     if view.dtype == np.uint8 and not (bytes_fit and divisor == 1):

@@ -60,7 +60,6 @@ def frame_of(
     headings: int,
     where: BoolArray | None,
     out: Stack | None,
-    kinds: Sequence[npt.DTypeLike] = (np.float32,),
 ) -> Frame:
     """Cut a stack down to the wanted poses (`where`) that can meet a `marked` cell.
 
@@ -75,7 +74,7 @@ def frame_of(
     (slice(1, 2, None), slice(1, 3, None))
     """
     height, width = marked.shape
-    out = output_stack(out, (headings, height, width), kinds)
+    out = output_stack(out, (headings, height, width), (np.float32, np.uint8))
     if where is None:
         return Frame(out, out, (slice(0, height), slice(0, width)), None)
     window = box_of(where | marked)

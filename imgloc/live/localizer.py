@@ -555,7 +555,7 @@ class Localizer:
     ) -> Answer[T]:  # fmt: skip
         took = time.perf_counter() - begin
         age = (clock or self._clock)() - scan.stamp
-        dropped = self._line.dropped_of(key)
+        dropped = self._line.counts[key]
         return Answer(value, name, scan.stamp, age, 1e3 * waited, 1e3 * took, dropped, era)
 
     def _next_era(self) -> int:

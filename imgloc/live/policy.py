@@ -89,7 +89,8 @@ class FirstPose:
             return True
         if found.new and abs(found.stamp - self._counted) >= self.rules.every:
             self.tries, self._counted = self.tries + 1, found.stamp
-        self._give_up()
+        if self.tries >= self.rules.tries:
+            self.state = GIVEN_UP
         return False
 
     def due(self, stamp: float, odom: Pose2D | None) -> bool:
@@ -106,10 +107,6 @@ class FirstPose:
     def answered(self) -> None:
         """Take note that what was due has an answer, or will have none."""
         self._open = False
-
-    def _give_up(self) -> None:
-        if self.tries >= self.rules.tries:
-            self.state = GIVEN_UP
 
     def fresh(self, stamp: float, now: float) -> bool:
         """Return whether a scan is young enough; one from the future, by another clock, is not."""

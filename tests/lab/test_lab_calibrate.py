@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.io.scanset import ScanSet
 from imgloc.lab import calibrate
 from imgloc.lab.calibrate import (
     EXPONENTS,
@@ -24,7 +23,7 @@ from imgloc.lab.performance_index import density_in_stack, performance_index
 from imgloc.lab.tables import SHARP, shared_words
 from imgloc.likelihoods.posterior import calibrated
 from imgloc.likelihoods.stacks import likelihood
-from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
+from imgloc.model import GridInfo, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import METHODS, Calibration, Options, Sensor, Shared
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate
@@ -149,13 +148,6 @@ def test_the_same_seed_the_same_scans() -> None:
     one, two = (disturbed_set(room(), 3, 8, Sensor(rays=20)) for _ in range(2))
     for a, b in zip(one.scans, two.scans, strict=True):
         np.testing.assert_array_equal(a.ranges, b.ranges)
-
-
-def test_refuses_scans_without_poses() -> None:
-    scan = LaserScan(np.ones(9), np.arange(9) / 9)
-    for scans in (ScanSet((scan,)), ScanSet((), poses=np.empty((0, 3)))):
-        with pytest.raises(ConfigError, match="the true pose of each"):
-            sweep(prepare(room()), scans, Options(method="ght"))
 
 
 def test_a_calibrated_posterior_knows_more_than_the_bare_stack() -> None:
