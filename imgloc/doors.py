@@ -6,14 +6,12 @@ No room before the wall imports ``plans`` or ``lab``: whoever needs something of
 from importlib import import_module
 from typing import Any
 
-_HOMES = {
-    "imgloc.lab.atlas": "survey_part",
-    "imgloc.lab.changes": "aging_hint",
-    "imgloc.lab.grid": "GridFilter GridOptions",
-    "imgloc.lab.particle": "ParticleFilter ParticleOptions",
+_HOME_OF = {
+    "survey_part": "imgloc.lab.atlas",
+    "aging_hint": "imgloc.lab.changes",
+    "GridFilter": "imgloc.lab.grid",
+    **dict.fromkeys(("ParticleFilter", "ParticleOptions"), "imgloc.lab.particle"),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
-
 
 #: Commands behind the wall by their names, and their functions.
 COMMANDS = {

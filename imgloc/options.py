@@ -32,10 +32,8 @@ Heading = Annotated[float, Within(-1e6, 1e6, "radians")]
 Step = Annotated[float, Within(1e-4, math.tau, "radians")]
 Share = Annotated[float, Within(0, 1, "a share")]
 Nats = Annotated[float, Within(0, math.inf, "nats")]
-SCALES = (
-    0.5,
-    2,
-)  #: factors on all readings that can be stated or found: the least and the greatest
+SCALES = 0.5, 2
+"""The least and the greatest factor on all readings that can be stated or found."""
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Count = Annotated[int, Within(1, 1e12, "")]
@@ -245,9 +243,9 @@ class EvidenceModel(Checked):
     displaced: Length = number("EvidenceModel.displaced")
     #: standard deviation, metres, of the place of each piece of wall on the map: 0 if the map is
     #: true to shape
-    bent: Metres = number("EvidenceModel.bent")
+    bent: Metres = 0.0
     #: exponent of the number of readings on one piece of a bent wall: n readings count as n^alike
-    alike: Share = number("EvidenceModel.alike")
+    alike: Share = 1.0
 
     def bending(self, metres: float, how: "Bending | None" = None) -> "EvidenceModel":
         """The parameters for a map whose pieces of wall stand `metres` off: see :class:`Shared`."""

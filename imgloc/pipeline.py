@@ -38,11 +38,13 @@ from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
 from imgloc.search.rescore import score_poses, shortlist
 from imgloc.search.stacked import weigh_stack
-from imgloc.search.weigh import nothing, weigh
+from imgloc.search.weigh import MODES, nothing, weigh
 
-_LAST = number("pipeline.last")  # proposals that get the second look when time is up
 _ROUNDS = number("pipeline.rounds")  # searches again with an error that the readings share
-_FIRST_LOOK, _SECOND_LOOK = number("refine.first_look"), number("refine.second_look")
+FIRST_LOOK: tuple[float, ...] = number("refine.first_look")
+"""Widths of the kernel that takes poses to where they fit, in the first look: metres."""
+SECOND_LOOK: tuple[float, ...] = number("refine.second_look")
+"""The same in the second look."""
 
 
 def prepare(
@@ -240,10 +242,10 @@ def find_modes_by_steps(
         looked, _ = look(features, np.concatenate(others), few, options, before=looked)
         yield
     late = time.monotonic() >= end
-    looked = looked[:_LAST] if late else looked
+    looked = looked[:MODES] if late else looked
 
     # Refine the best with more readings, in free space; score them, and separate the modes.
-    poses = _refined(looked, many, features, _SECOND_LOOK, options)
+    poses = _refined(looked, many, features, SECOND_LOOK, options)
     scores = score_poses(features, many, poses, options.model)
     poses, scores, spread = separate(features, poses, scores, len(many), options)
     return Modes(poses, scores, many, complete=not late, looked=looked, spread=spread)
@@ -278,7 +280,7 @@ def look(
 
     These are poses (L, 3) in the grid frame and their scores (L,) in nats, best first.
     """
-    poses = _refined(proposals, few, features, _FIRST_LOOK, options)
+    poses = _refined(proposals, few, features, FIRST_LOOK, options)
     poses = poses if before is None else np.concatenate((before, poses))
     return shortlist(poses, few, features, options)
 

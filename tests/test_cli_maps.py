@@ -88,11 +88,9 @@ def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None
 
 
 def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
-    def fan(*words: object) -> int:
+    def fan(*words: object, path: Path = MAPS / "curved.yaml") -> int:
         out = tmp_path / "fan.png"
-        run = call(
-            "map", "show", MAPS / "curved.yaml", "--what", "visibility", "--out", out, *words
-        )
+        run = call("map", "show", path, "--what", "visibility", "--out", out, *words)
         assert run.code == 0, run.err
         picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
         out.unlink()
@@ -100,7 +98,9 @@ def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
         return int(np.count_nonzero(red > blue + 50))  # pixels of the fan, which is orange
 
     # The same surface point, named in two frames.
-    other = fan("--origin", "1,2,1.5707963", "--at", "-4.4,6.2")
+    turned = ("--origin", "1,2,1.5707963", "--write", tmp_path / "turned.yaml")
+    call("map", "check", MAPS / "curved.yaml", *turned).ends(0)
+    other = fan("--at", "-4.4,6.2", path=tmp_path / "turned.yaml")
     assert fan("--at", "4.2,5.4") == pytest.approx(other, rel=1e-3)  # but for the lines of the axes
     assert fan("--at", "4.2,5.4") != fan()
 

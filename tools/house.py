@@ -24,8 +24,8 @@ from tools.script import parser_of, table_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
-    "__about__", "doors", "equality", "errors", "pose", "texts", "ranges", "numbers", "model",
-    "geometry", "options", "robot", "io", "features", "likelihoods", "search", "pipeline",
+    "__about__", "doors", "equality", "errors", "threads", "pose", "texts", "ranges", "numbers",
+    "model", "geometry", "options", "robot", "io", "features", "likelihoods", "search", "pipeline",
     "answers", "choice", "filters", "simulation", "runs", "output", "live", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")
@@ -34,19 +34,19 @@ _PLACE = {name: k for k, name in enumerate((*ROOMS, *BEHIND))}
 _PLAIN = (0, 1, 2)  # numbers that need no name: an empty sum, a step, a half
 LONG = 60  # lines of code of a function, without what its signature declares
 LIMITS: Mapping[str, tuple[int, int]] = {
-    "code of imgloc": (30_699, 20_000),
-    "code of lab and plans": (4_966, 3_700),
+    "code of imgloc": (30_343, 20_000),
+    "code of lab and plans": (4_908, 3_700),
     "code of tools": (9_015, 8_000),
-    "code of tests": (28_552, 26_000),
+    "code of tests": (28_296, 26_000),
     f"functions of more than {LONG} lines": (0, 0),
     "modules of imgloc that a file imports, median": (6, 6),
     "arrows back up": (0, 0),
-    "options of all commands": (464, 250),
-    "numbers": (336, 150),
-    "numbers that nobody measured": (214, 40),
-    "docstrings that begin with What, Whether, How, Of": (16, 0),
-    "docstrings in which things say or tell": (18, 0),
-    "chains of three of": (3, 0),
+    "options of all commands": (442, 250),
+    "numbers": (316, 150),
+    "numbers that nobody measured": (194, 40),
+    "docstrings that begin with What, Whether, How, Of": (0, 0),
+    "docstrings in which things say or tell": (0, 0),
+    "chains of three of": (0, 0),
 }
 """What is counted: the limit, which is red above and only falls, and the goal."""
 _BEGINS = re.compile(r"(What|Whether|How|Of)\b")

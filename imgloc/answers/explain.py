@@ -69,7 +69,7 @@ class RayFit(ByContent):
     A ray that ``agrees`` ends on a surface that faces it, and met no wall before; the surface
     faces elsewhere (``orientation``), the ray passes through a mapped wall (``visibility``), or
     ends where the map has no surface (``unexplained``). ``no_return`` and ``invalid`` are not
-    distances: these have no say, and those have one where several lie side by side.
+    distances: these count for nothing, and those count where several lie side by side.
     """
 
     kind: npt.NDArray[np.str_]  #: (N,) one of :data:`KINDS` each

@@ -31,9 +31,8 @@ from imgloc.options import Options, Prior, Shared
 from imgloc.search.priors import stands
 from imgloc.search.refine import refine
 from imgloc.search.rescore import score_readings
-from imgloc.search.weigh import explained_rays
+from imgloc.search.weigh import FROM_CELLS, explained_rays
 
-_WIDTHS = number("fit.settle")
 _AROUND, _APART = number("fit.around"), number("fit.apart")
 _CLOSER = number("fit.closer")  # part of these for a second look, around the best of the first
 
@@ -107,7 +106,7 @@ def fit_at(
     at = np.array([[local.x, local.y, local.theta]])
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     if settle and len(readings):
-        for part, widths in ((1, _WIDTHS), (_CLOSER, _WIDTHS[-1:])):
+        for part, widths in ((1, FROM_CELLS), (_CLOSER, FROM_CELLS[-1:])):
             around = refine(at + _starts() / part, readings.xy, features.field, sigmas=widths)
             some = np.concatenate((at, around))
             score = score_readings(features, readings, some, options.model)

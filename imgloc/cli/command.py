@@ -27,10 +27,14 @@ from imgloc.texts import WITH_COMMAS
 
 #: Options that a command does not have, and what to do instead.
 GONE: Mapping[str, str] = {
-    **dict.fromkeys(("mode", "occupied-thresh", "free-thresh", "negate", "no-negate", "semantics"),
-                    "imgloc map check MAP with it and with --write YAML makes a YAML that has it"),
+    **dict.fromkeys(
+        ("origin", "mode", "occupied-thresh", "free-thresh", "negate", "no-negate", "semantics"),
+        "imgloc map check MAP with it and with --write YAML makes a YAML that has it"),
+    "allow-lossy": "the same image as a PNG needs none",
     **dict.fromkeys(("max-bad", "straighten", "height", "odom", "odometry"),
                     "imgloc convert LOG scans.npz with it makes a file that needs none"),
+    "threads": "imgloc localize has it, imgloc batch has --workers",
+    "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
 }  # fmt: skip
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (

@@ -21,7 +21,6 @@ DEMO_MAPS = ("double_wall", "visibility", "large", "curved", "corridor")
 
 def demo(
     *,
-    taken: opt.Resources,
     name: Annotated[str, OneOf(*DEMO_MAPS)] = option(
         "double_wall", "Bundled map in which a scan is simulated.", "--map"
     ),
@@ -54,14 +53,12 @@ def demo(
     inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
     path = maps / f"{name}.yaml"
     grid = load_map(path)
-    options = Options(**vars(taken))
+    options = Options(threads=opt.count_threads())
     cbml = replace(options, method="cbml")
-    features = prepare(grid, name, ready=False, threads=taken.threads)
-    hint = "use another --map"
-    desk = inputs.desk_of(**vars(taken))
-    desk.check_simulation(grid, name, 1, 181, hint=hint)
+    features = prepare(grid, name, ready=False, threads=options.threads)
+    desk = inputs.desk_of(options.threads, opt.fixed_budget())
     for each in (options, cbml):
-        desk.check_answer(features, each, name, hint=hint)
+        desk.check_answer(features, each, name, hint="use another --map")
     simulated = simulate(grid, 1, seed)
     scan = replace(simulated.scans[0], T_base_laser=None)  # of no robot
     truth = Pose2D(*np.asarray(simulated.poses)[0])

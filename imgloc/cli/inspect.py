@@ -195,7 +195,7 @@ class _Look:
 
 
 def _word(path: Path) -> str:
-    """What names a file on a command line: a bundled map its name, and a copy its address."""
+    """The word for a file on a command line: a bundled map its name, and a copy its address."""
     from imgloc.io.maps import named_map
 
     return shlex.quote(path.stem if named_map(path.stem) == path else display(path))

@@ -59,7 +59,7 @@ def show(
     *,
     map_path: opt.MapPath,
     out: Path = option(..., "Picture that is written.", metavar="PNG"),
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     what: Annotated[str, OneOf(*SUBJECTS)] = option(
         "map",
         "What is drawn: the map as it is read; the blurred map (bmap); its blurred normals "

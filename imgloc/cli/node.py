@@ -28,7 +28,7 @@ class RosCommand(Command):
 def node(
     *,
     context: typer.Context,
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     taken: opt.Resources,
     map_path: Path | None = option(
         None,

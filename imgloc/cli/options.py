@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from imgloc.cli.command import Given, Only, Without
+from imgloc.cli.command import Given, Only
 from imgloc.errors import ConfigError, MapError
 from imgloc.options import Count, HeadingStep, Logs, MemoryBudget, Reading, Tolerance
 from imgloc.ranges import Option, option
@@ -85,7 +85,7 @@ ToleranceOf = Annotated[
         "hit. [default: 0.5,10]",
         "--tolerance",
         metavar="M,DEG",
-        parse=metres_degrees,
+        parse=lambda text: Tolerance(*metres_degrees(text)),
     ),
 ]
 
@@ -146,9 +146,7 @@ class MapImages(Reading, total=False):
 
 
 #: Where the map's YAML has the other options; `imgloc map check --write` puts them there.
-MapFrame = Annotated[
-    MapImages, Without("mode", "semantics", "occupied_thresh", "free_thresh", "negate")
-]
+MapSize = Annotated[MapImages, Only("resolution")]
 
 
 #: Where `imgloc convert` makes a file that needs no other of these options.

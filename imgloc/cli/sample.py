@@ -21,7 +21,7 @@ def sample(
     scans_path: opt.ScansPath,
     out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
     search: Annotated[Options, Only("method", "theta_step")],
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     logs: opt.LogTaken,
     chosen: Chosen,
     taken: opt.Resources,

@@ -37,7 +37,7 @@ Port = Annotated[int, Within(0, 65_535, "")]
 
 def serve(
     *,
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     taken: opt.Resources,
     maps: list[Path] = option(
         [],

@@ -17,7 +17,7 @@ def simulate(
     map_path: opt.MapPath,
     out: Path = option(..., "File of the scans that is written.", metavar="NPZ"),
     sensor: Sensor,
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     count: Count = option(100, "Scans that are simulated.", "-n", "--count"),
     seed: Seed = 0,
     memory_budget: MemoryBudget | None = None,

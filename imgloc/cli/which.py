@@ -24,7 +24,7 @@ def which(
         "MAPS_DIR",
     ),
     known: Annotated[Known, Without("near", "sd")],
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     logs: opt.LogTaken,
     taken: opt.Resources,
     scans_path: Path | None = option(

@@ -55,7 +55,7 @@ def default_budget() -> int:
 def check_budget(need: int, budget: int | None, what: str, hint: str) -> None:
     """Refuse to start something that would take more memory than it may.
 
-    `need` and `budget` are bytes; a budget of None is :func:`default_budget`. The ConfigError says
+    `need` and `budget` are bytes; a budget of None is :func:`default_budget`. The ConfigError has
     `what` takes them, with its sizes, as the subject of a sentence, and as a `hint` what to change.
 
     Examples

@@ -41,7 +41,7 @@ def make_filter(
         raise ConfigError(f"filter must be one of {', '.join(FILTERS)}, got {name!r}")
     made: Filter
     if name == "grid":
-        made = behind("GridFilter")(features, options, behind("GridOptions")())
+        made = behind("GridFilter")(features, options)
     else:
         how = behind("ParticleOptions")(reset_by=reset_by)
         made = behind("ParticleFilter")(features, options, how, seed=seed)

@@ -19,25 +19,24 @@ from imgloc.filters.motion import compose_poses, invert_poses
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
-from imgloc.pipeline import find_modes, find_modes_by_steps
+from imgloc.pipeline import FIRST_LOOK, SECOND_LOOK, find_modes, find_modes_by_steps
+from imgloc.search.adapt import FROM_SCALES
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
 from imgloc.search.refine import endpoints, refine
 from imgloc.search.rescore import score_poses, score_readings
-from imgloc.search.weigh import covariances_there, evidence_of
+from imgloc.search.weigh import FROM_CELLS, covariances_there, evidence_of
 
-_SETTLE = number("evidence.settle")  # widths of the kernel, metres
-_SETTLE_SCALED = number("evidence.settle_scaled")  # the same where the scale is free
+_SETTLE = (*FIRST_LOOK, min(SECOND_LOOK))  # widths of the kernel, metres
 _FEW = number("evidence.readings")  # readings of the first look around a pose
 # Step between the poses of the first look, metres and radians.
 _STEP: tuple[float, float] = number("evidence.step")
 _REACH = number("evidence.reach")  # reach of the first look, standard deviations
 _FARTHEST = number("evidence.farthest")  # and its limit, metres and radians
-_SCALES = number("evidence.scales")  # factors from which the search for a scale starts
 _MOST = number("evidence.most")  # poses of all first looks together, to limit the time
 _CLOSER = number("evidence.closer")  # poses of a first look that are refined
-# Standard deviations of a pose without a covariance: metres, metres, radians.
-_UNKNOWN = number("evidence.unknown")
+DEVIATION: tuple[float, float] = number("follow.deviation")
+"""Standard deviations of a pose of which none is known: metres and radians."""
 # Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")
 # Widths of the kernel that picks poses, metres: for the first look, and for the last one.
@@ -110,7 +109,7 @@ def sight(
     misfit = options.model.best - scores.log_likelihood / len(seen)
     order = np.argsort(-log, kind="stable")
     listed = order[: options.listed(masses(log[order], 1.0))]
-    covariance = np.tile(np.diag(_UNKNOWN) ** 2, (len(poses), 1, 1))
+    covariance = np.tile(np.diag((DEVIATION[0], *DEVIATION)) ** 2, (len(poses), 1, 1))
     wider = None if spread is None else spread[listed]
     covariance[listed] = covariances_there(features, at[listed], seen, options, wider)
     lever = np.tile(np.eye(3), (len(poses), 1, 1))  # if the sensor turns, the robot moves
@@ -229,9 +228,9 @@ def stretched(
     features: MapFeatures, view: View, pose: FloatArray, options: Options
 ) -> tuple[float, float]:
     """Fit a scale of the readings at a pose (3,) of the robot: the factor, and the nats gained."""
-    same = np.tile(view.sensor(pose), (len(_SCALES), 1))
-    poses = np.column_stack((same, _SCALES))
-    poses = refine(poses, view.readings.xy, features.field, sigmas=_SETTLE_SCALED)
+    same = np.tile(view.sensor(pose), (len(FROM_SCALES), 1))
+    poses = np.column_stack((same, FROM_SCALES))
+    poses = refine(poses, view.readings.xy, features.field, sigmas=FROM_CELLS)
     poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
     score = score_readings(features, view.readings, poses, options.model)
     best = 1 + int(np.argmax(score[1:]))

@@ -11,7 +11,7 @@ from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
 from imgloc.filters.choose import make_filter
-from imgloc.filters.evidence import usable
+from imgloc.filters.evidence import DEVIATION, usable
 from imgloc.filters.motion import (
     Way,
     compose_poses,
@@ -34,8 +34,6 @@ from imgloc.search.protection import protection
 
 LOG = logging.getLogger("imgloc")
 
-DEVIATION: tuple[float, float] = number("follow.deviation")
-"""Default standard deviations of a pose that is given to a filter: metres and radians."""
 Reading = tuple[LaserScan, FloatArray | None]
 """A scan with its stamp, and the odometry's pose (3,) at that time; None without odometry."""
 BLIND, WIDE, UNCONFIRMED, STANDING = "blind", "wide", "unconfirmed", "has not moved"

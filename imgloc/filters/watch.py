@@ -1,4 +1,4 @@
-"""A second opinion of the poses that another localizer gives: agrees, disagrees, cannot tell.
+"""A second opinion of the poses that another localizer gives: agrees, disagrees, or undecided.
 
 It holds each pose against a filter of its own that never hears of it, and while that filter is not
 sure against one scan on the whole map. It changes nothing.
@@ -67,8 +67,9 @@ class Watch:
     >>> watch.step(scans[0], None, moment).said
     'agrees'
     >>> watch.hear(1.0, Pose2D(true.x + 2, true.y), None)
-    >>> [watch.step(scans[0], None, moment, stamp).said for stamp in (1.0, 2.0)]
-    ['cannot tell', 'disagrees']
+    >>> opinions = [watch.step(scans[0], None, moment, stamp) for stamp in (1.0, 2.0)]
+    >>> [opinion.said == DISAGREES for opinion in opinions]
+    [False, True]
     """
 
     def __init__(self, features: MapFeatures, options: Options) -> None:

@@ -104,7 +104,7 @@ def load_scans(
         Share of the lines of a text, or of the messages of a bag, 0 to 1, that may be broken: they
         are left out, with a warning that names them. ScanError if there are more.
     height : (float, float), optional
-        Lowest and highest point, metres above the sensor, of a slice of a cloud of points that
+        Lowest and highest point, metres above the sensor, of the slice of a point cloud that
         is a scan. Clouds are sensor_msgs/PointCloud2 of a bag, where there is no LaserScan or
         `topic` names them, and ``.pcd`` (:func:`~imgloc.io.clouds.read_pcd`).
     odom : str, optional

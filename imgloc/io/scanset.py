@@ -275,18 +275,14 @@ def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) ->
     bad.check(len(scans))
     if not scans:
         raise ScanError(f"{name}: contains no scan, expected one per line")
-    known = {key: _known(np.array(poses)) for key, poses in beside.items()}
+    tables = {key: np.array(poses) for key, poses in beside.items()}
+    known = {key: None if np.isnan(table).all() else table for key, table in tables.items()}
     if known["pose"] is not None and (there := np.isfinite(known["pose"][:, 0])).sum() < len(scans):
         some = f"in {there.sum()} of {len(scans)} scans"
         raise ScanError(f"{name}: pose: {some}, expected all or none")
     times = np.array([scan.stamp for scan in scans])
     stamps = None if np.isnan(times).all() else times
     return ScanSet(_without_codes(scans, name), known["pose"], stamps, known["odom"])
-
-
-def _known(poses: FloatArray) -> FloatArray | None:
-    """The poses (N, 3), or None if none of them is known."""
-    return None if np.isnan(poses).all() else poses
 
 
 def _pose(value: Any, where: str, key: str) -> FloatArray:

@@ -84,16 +84,12 @@ def _pose(row: Mapping[str, Any]) -> str:
     return text if row.get("scale", 1) == 1 else f"{text}, scale {row['scale']:.4f}"
 
 
-def _no_transform(located: int) -> str:
-    """Why scans give no transform."""
-    if located < 2:
-        return f"too few have a pose in both maps: {located}, expected at least 2"
-    return "no transform fits more than half of them"
-
-
 def _scans_text(scans: Mapping[str, Any]) -> list[str]:
+    if scans["pose"] is None and scans["located"] < 2:
+        few = f"too few have a pose in both maps: {scans['located']}, expected at least 2"
+        return [f"  scans      {few}"]
     if scans["pose"] is None:
-        return [f"  scans      {_no_transform(scans['located'])}"]
+        return ["  scans      no transform fits more than half of them"]
     lines = [
         f"  scans      {_pose(scans['pose'])}",
         f"             {scans['used']} of {scans['given']} agree, residual "

@@ -27,7 +27,7 @@ from imgloc.filters.motion import increments
 from imgloc.geometry import in_grid_frame, inside
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import cell_of_pose
-from imgloc.lab.performance_index import FLOOR, Index, index_of
+from imgloc.lab.performance_index import Index, index_of, with_floor
 from imgloc.likelihoods.posterior import smoothed
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import (
@@ -69,7 +69,6 @@ class Sweep:
     configurations: tuple[tuple[float, float], ...]  #: sigma_xy [m] and sigma_theta [rad]
     logs: FloatArray  #: (n, C, E) by trial, configuration and exponent
     bare: FloatArray  #: (n,) by trial, for the stacks without calibration, as in the paper
-    floor: float = FLOOR
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,6 @@ def sweep(
     scans: ScanSet,
     options: Options,
     *,
-    floor: float = FLOOR,
     advance: Callable[[], None] = lambda: None,
 ) -> Sweep:
     """Measure every smoothing and temperature on scans whose poses are known.
@@ -123,8 +121,6 @@ def sweep(
     a sigma of its own for the cells. The arguments and errors are those of
     :func:`imgloc.lab.evaluation.evaluate`.
     """
-    if not len(scans) or scans.poses is None:
-        raise ConfigError("expected at least one scan, and the true pose of each")
     log = options.method in LOG_METHODS
     configurations = (
         ((0.0, 0.0),) if log else tuple((xy, th) for xy in SIGMAS_XY for th in SIGMAS_THETA)
@@ -139,8 +135,7 @@ def sweep(
             logs[i, c] = densities(image, at, features, powers)
         bare[i] = densities(stack, at, features, np.ones(1))[0]
         advance()
-    logs, bare = (np.log((1 - floor) * density + floor) for density in (logs, bare))
-    return Sweep(options.method, configurations, logs, bare, floor)
+    return Sweep(options.method, configurations, with_floor(logs), with_floor(bare))
 
 
 def densities(
@@ -204,12 +199,12 @@ def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
     mean = np.mean([s.logs.mean(axis=0) for s in sweeps], axis=0)
     c, e = np.unravel_index(int(mean.argmax()), mean.shape)
     sigma_xy, sigma_theta = sweeps[0].configurations[c]
-    logs, floor = np.concatenate([s.logs for s in sweeps]), sweeps[0].floor
-    error = index_of(logs[:, c, e], floor).standard_error
+    logs = np.concatenate([s.logs for s in sweeps])
+    error = index_of(logs[:, c, e]).standard_error
     hottest = int(np.argmax(mean[c] >= mean[c, e] - error))
     calibration = Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest]))
-    bare = index_of(np.concatenate([s.bare for s in sweeps]), floor)
-    return CalibrationFit(calibration, index_of(logs[:, c, hottest], floor), bare)
+    bare = index_of(np.concatenate([s.bare for s in sweeps]))
+    return CalibrationFit(calibration, index_of(logs[:, c, hottest]), bare)
 
 
 @dataclass(frozen=True)

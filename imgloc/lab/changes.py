@@ -47,10 +47,9 @@ from imgloc.model import (
 )
 from imgloc.numbers import number
 
-_SHORT = number("changes.short")  # metres by which rays are shortened before they say free
+_SHORT = number("changes.short")  # metres by which an endpoint may lie off its wall
 _EDGE = number("changes.edge")  # metres around a free cell that are free, too
 _GAP = number("changes.gap")  # metres between neighbouring rays that say free between them
-_BESIDE = number("changes.beside")  # metres: an endpoint nearer to a wall is of that wall
 _SCANS, _PLACES = number("changes.scans"), number("changes.places")  # that must say so
 _AGAINST = number("changes.against")  # scans that say so, to each that says otherwise
 _PLACE, _TIME = number("changes.place")  # metres and seconds, within which scans are one look
@@ -246,7 +245,7 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
     # A piece is sure where nothing beside it blocks rays; its ends lie beside what still stands.
     sure = grid.occupied & _mostly(seen.passed, seen.hit) & (seen.passed_from >= _PLACES)
     gone = _large(_grown(sure, grid.occupied & _mostly(seen.grazed, seen.hit)), grid.resolution)
-    away = distance_image(grid.occupied & ~gone) * grid.resolution > _BESIDE
+    away = distance_image(grid.occupied & ~gone) * grid.resolution > _SHORT
     # Noise puts the endpoints on a surface into the cells on both of its sides.
     there = _mostly(seen.near, seen.passed) & (seen.near_from >= _PLACES)
     new = _large(~grid.occupied & there & away & (seen.hit > 0), grid.resolution)

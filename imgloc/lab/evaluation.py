@@ -33,7 +33,6 @@ from imgloc.geometry import (
 )
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.performance_index import (
-    FLOOR,
     Index,
     density_at,
     density_in_cell,
@@ -206,7 +205,6 @@ def evaluate(
     options: Options,
     *,
     tolerances: Sequence[Tolerance] = TOLERANCES,
-    floor: float = FLOOR,
     advance: Callable[[], None] = lambda: None,
 ) -> Evaluation:
     """Measure a method on scans with known poses. All but ``summary.cost`` is the same in each run.
@@ -220,9 +218,6 @@ def evaluate(
         the others, before time is measured.
     options : Options
         Options of the method, for example from :func:`method_options`.
-    floor : float
-        Share of the uniform density in every density, 0..1, see
-        :mod:`imgloc.lab.performance_index`.
     advance : callable
         Called after each trial.
 
@@ -241,7 +236,7 @@ def evaluate(
     for trial in run_trials(features, scans, options):
         trials.append(trial)
         advance()
-    summary = summarise(trials, options.method, tolerances=tolerances, floor=floor)
+    summary = summarise(trials, options.method, tolerances=tolerances)
     n, cell = headings(options), features.lattice.resolution
     poses = n * int(np.count_nonzero(features.free))
     lattice = Lattice(cell, 2 * np.pi / n, poses, n * features.free.size, float(np.log(poses)))
@@ -332,20 +327,18 @@ def summarise(
     method: str,
     *,
     tolerances: Sequence[Tolerance] = TOLERANCES,
-    floor: float = FLOOR,
 ) -> Summary:
     """Summarise the trials, at least one, of one method on one map.
 
-    `tolerances` set how near to the true pose a hypothesis is right. `floor` is the share of the
-    uniform density in every density; outside of 0..1 it raises a ConfigError.
+    `tolerances` set how near to the true pose a hypothesis is right.
     """
     first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
     return Summary(
         method=method,
         trials=len(trials),
-        index=performance_index([t.free for t in trials], floor),
-        index_box=performance_index([t.box for t in trials], floor),
-        index_calibrated=performance_index([t.calibrated for t in trials], floor),
+        index=performance_index([t.free for t in trials]),
+        index_box=performance_index([t.box for t in trials]),
+        index_calibrated=performance_index([t.calibrated for t in trials]),
         outside=sum(t.outside for t in trials),
         exact=share(t.exact for t in trials),
         near=share(t.near for t in trials),

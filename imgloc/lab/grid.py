@@ -8,7 +8,7 @@ the calibrated likelihood of any method. Once nearly all of the mass lies in a s
 cells of that box are computed and scored. That makes the filter fast enough for real time.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import cv2
@@ -18,14 +18,14 @@ from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
-from imgloc.filters.motion import MotionNoise, deviations, way_of
+from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
-from imgloc.lab.scanned import ScannedFilter
+from imgloc.lab.scanned import ScannedFilter, ScannedOptions
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
-from imgloc.options import METHODS, Count, Length, Metres, Nats, Options, Share, Step
-from imgloc.ranges import Checked, OneOf
+from imgloc.options import METHODS, Count, Metres, Nats, Options, Share
+from imgloc.ranges import OneOf
 from imgloc.search.stacked import posterior_of
 
 _ROOT = float(np.sqrt(2 * np.pi))
@@ -38,17 +38,11 @@ _EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
 @dataclass(frozen=True)
-class GridOptions(Checked):
+class GridOptions(ScannedOptions):
     """Settings of the grid filter."""
 
-    method: Annotated[str, OneOf(*METHODS)] = (
-        "ght-v"  #: method whose likelihood multiplies the belief on the whole map
-    )
-    noise: MotionNoise = field(default_factory=MotionNoise)
-    #: metres and radians of motion after which all of a scan's evidence is new
-    fresh: tuple[Length, Step] = number("GridOptions.fresh")
-    #: share of a scan's evidence that counts without any motion
-    least: Share = number("GridOptions.least")
+    #: method whose likelihood multiplies the belief on the whole map
+    method: Annotated[str, OneOf(*METHODS)] = "ght-v"
     #: least likelihood of a cell, as a share of a uniform one, so that no cell is ruled out
     floor: Share = number("GridOptions.floor")
     #: mass within a box above which only the box is computed
@@ -60,11 +54,6 @@ class GridOptions(Checked):
     surprise: Nats = number("GridOptions.surprise")
     #: share of p(x | z) that is then mixed in: sensor resetting
     share: Share = number("GridOptions.share")
-    mass: Share = number("GridOptions.mass")  #: least mass of a ``unique`` place
-    #: metres for which a place must be the best one before it is ``unique``
-    sure: Metres = number("GridOptions.sure")
-    #: largest misfit, nats per reading, at which the filter is not ``lost``
-    misfit: Nats = number("GridOptions.misfit")
 
 
 def predict(
@@ -217,15 +206,7 @@ class GridFilter(ScannedFilter):
         self._sparse()
         self._lasers.place()
 
-    def move(
-        self, increment: FloatArray,
-        covariance: FloatArray | None = None, *, known: bool = True,  # noqa: ARG002
-    ) -> None:  # fmt: skip
-        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
-        if not np.any(increment):
-            return
-        self._followed.move(increment)
-        self._lasers.move(way_of(increment))
+    def _move(self, increment: FloatArray) -> None:
         if not self._seen:
             return  # a uniform belief stays uniform
         first, along, _ = deviations(increment, self.how.noise).tolist()
@@ -243,21 +224,18 @@ class GridFilter(ScannedFilter):
             self._seen = False
             self._normalise()
 
-    def _see(self, scan: LaserScan) -> None:
-        how, laser = self.how, self._lasers.of(scan)
-        new = float(np.clip((laser.way / how.fresh).sum(), how.least, 1.0)) if self._seen else 1.0
-        before = self._misfit_at_best(scan) if self._seen else 0.0
-        surprised = self._seen and before > laser.usual + how.surprise
+    def _see(self, scan: LaserScan, new: float) -> None:
+        new = new if self._seen else 1.0
+        most = self._lasers.of(scan).usual + self.how.surprise
+        surprised = self._seen and self._misfit_at_best(scan) > most
         if surprised:
             self._dense()
         if self._belief.shape[1:] == self.lattice.shape:
             self._multiply_all(scan, new, mix=surprised)
         else:
             self._multiply_box(scan, new)
-        laser.way, self._seen, self._last = np.zeros(2), True, laser
+        self._seen = True
         self._sparse()
-        laser.learn(self._misfit_at_best(scan))
-        self._followed.best(self.belief.poses[0])
 
     def _multiply_all(self, scan: LaserScan, new: float, *, mix: bool) -> None:
         stack = likelihood(self.features, scan, self.options)
@@ -289,11 +267,6 @@ class GridFilter(ScannedFilter):
         out[some] = flat[some] * np.exp(gain).astype(np.float32)
         self._belief = out.reshape(self._belief.shape)
         self._normalise()
-
-    @property
-    def _few(self) -> Options:
-        fused = replace(self.options.fused, rays=self.options.fused.few_rays)
-        return replace(self.options, fused=fused, top=1)
 
     def _poses(self, flat: IntArray) -> FloatArray:
         """Poses (N, 3) of cells of the box."""

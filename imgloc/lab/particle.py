@@ -9,7 +9,7 @@
 * GHT-V every once in a while "to cut hypotheses based on the visibility constraints" (Sec. V).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -19,26 +19,14 @@ from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
-from imgloc.filters.motion import MotionNoise, sample_motion, way_of
+from imgloc.filters.motion import sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
-from imgloc.lab.scanned import ScannedFilter
+from imgloc.lab.scanned import ScannedFilter, ScannedOptions
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
-from imgloc.options import (
-    ALL_METHODS,
-    Count,
-    Factor,
-    Length,
-    Metres,
-    Nats,
-    Options,
-    Radians,
-    Share,
-    Shared,
-    Step,
-)
-from imgloc.ranges import Checked, OneOf, Within
+from imgloc.options import ALL_METHODS, Count, Factor, Metres, Options, Radians, Share, Shared
+from imgloc.ranges import OneOf, Within
 from imgloc.search.hypotheses import first_in_cell
 from imgloc.search.stacked import posterior_of
 
@@ -47,7 +35,7 @@ _FLOOR = number("particle.floor")
 
 
 @dataclass(frozen=True)
-class ParticleOptions(Checked):
+class ParticleOptions(ScannedOptions):
     """Settings of the particle filter."""
 
     least: Count = number("ParticleOptions.least")  #: least number of particles
@@ -56,16 +44,8 @@ class ParticleOptions(Checked):
     error: Annotated[float, Within(1e-6, 1e6, "nats")] = number("ParticleOptions.error")
     #: KLD-sampling: quantile of the normal distribution; 2.33 is 99 %
     quantile: Annotated[float, Within(0, 10, "deviations")] = number("ParticleOptions.quantile")
-    bins: tuple[Length, Step] = number("ParticleOptions.bins")  #: metres and radians
-    noise: MotionNoise = field(default_factory=MotionNoise)
-    rays: Count = number("ParticleOptions.rays")  #: number of readings that weigh the particles
-    #: metres and radians of motion after which all of a scan's evidence is new
-    fresh: tuple[Length, Step] = number("ParticleOptions.fresh")
-    #: share of a scan's evidence that counts without any motion
-    least_new: Share = number("ParticleOptions.least_new")
-    reset_by: Annotated[str, OneOf(*ALL_METHODS)] = (
-        "ght-v"  #: method whose p(x | z) new particles are drawn from
-    )
+    #: method whose p(x | z) new particles are drawn from
+    reset_by: Annotated[str, OneOf(*ALL_METHODS)] = "ght-v"
     #: rates of the long and the short mean of the likelihood
     alphas: tuple[Share, Share] = number("ParticleOptions.alphas")
     #: factor by which the short mean may lie below the long one without a reset
@@ -74,13 +54,6 @@ class ParticleOptions(Checked):
     cut: Annotated[int, Within(0, 1e6, "scans")] = number("ParticleOptions.cut")
     #: standard deviations of particles that are drawn again, metres and radians
     jitter: tuple[Metres, Radians] = number("ParticleOptions.jitter")
-    mass: Share = number("ParticleOptions.mass")  #: least mass of a ``unique`` place
-    #: metres for which a place must be the best one before it is ``unique``
-    sure: Metres = number("ParticleOptions.sure")
-    #: nats per reading by which the misfit of a ``unique`` place may exceed the usual one
-    surprise: Nats = number("ParticleOptions.surprise")
-    #: largest misfit, nats per reading, at which the filter is not ``lost``
-    misfit: Nats = number("ParticleOptions.misfit")
 
 
 def kld_bound(bins: int, error: float, quantile: float) -> int:
@@ -152,23 +125,15 @@ class ParticleFilter(ScannedFilter):
         self.weights = np.full(len(self.poses), 1 / len(self.poses))
         self._lasers.place()
 
-    def move(
-        self, increment: FloatArray,
-        covariance: FloatArray | None = None, *, known: bool = True,  # noqa: ARG002
-    ) -> None:  # fmt: skip
-        """Move the particles by a motion (3,), in the robot's earlier frame: m, m, radians."""
-        self._followed.move(increment)
-        self._lasers.move(way_of(increment))
-        if len(self.poses) and np.any(increment):
+    def _move(self, increment: FloatArray) -> None:
+        if len(self.poses):
             self.poses = sample_motion(self.poses, increment, self.how.noise, self._rng)
 
-    def _see(self, scan: LaserScan) -> None:
-        how, laser, first = self.how, self._lasers.of(scan), not len(self.poses)
+    def _see(self, scan: LaserScan, new: float) -> None:
+        how, first = self.how, not len(self.poses)
         if first:
             self.poses = self._new(scan, how.most)
             self.weights = np.full(len(self.poses), 1 / len(self.poses))
-        new = float(np.clip((laser.way / how.fresh).sum(), how.least_new, 1.0))
-        laser.way = np.zeros(2)
         seen = sight(self.features, view_of(scan, self._few), self.poses, self._few)
         log = seen.log_likelihood * new + self._cut(scan)
         weights = self.weights * np.exp(log - log.max())
@@ -184,14 +149,11 @@ class ParticleFilter(ScannedFilter):
         neff = 1 / float(np.square(self.weights).sum())
         if first or share > 0 or neff < len(self.weights) / 2:
             self._resample(scan, share)
-        laser.learn(self._misfit_at_best(scan))
-        self._last = laser
-        self._followed.best(self.belief.poses[0])
 
     def _resample(self, scan: LaserScan, share: float) -> None:
         how, rng = self.how, self._rng
         kept = self.poses[low_variance(self.weights, how.most, rng)]
-        bins = len(first_in_cell(kept, *how.bins))
+        bins = len(first_in_cell(kept, *self.options.fused.separation))
         n = int(np.clip(kld_bound(bins, how.error, how.quantile), how.least, how.most))
         anew = round(share * n)
         spread = np.array([how.jitter[0], how.jitter[0], how.jitter[1]])
@@ -228,10 +190,6 @@ class ParticleFilter(ScannedFilter):
         return np.asarray(np.minimum(0.0, np.log(density / uniform + _FLOOR)))
 
     @property
-    def _few(self) -> Options:
-        return replace(self.options, fused=replace(self.options.fused, rays=self.how.rays), top=1)
-
-    @property
     def _best(self) -> FloatArray:
         return self.belief.poses[:1]
 
@@ -241,9 +199,10 @@ class ParticleFilter(ScannedFilter):
         if not len(self.poses):
             return NOWHERE
         # Places with many particles come first, because the order of equal weights is arbitrary.
-        turn = max(1, round(2 * np.pi / self.how.bins[1]))
+        metres, radians = self.options.fused.separation
+        turn = max(1, round(2 * np.pi / radians))
         cells = np.column_stack(
-            (np.floor(self.poses[:, :2] / self.how.bins[0]), theta_bin(self.poses[:, 2], turn))
+            (np.floor(self.poses[:, :2] / metres), theta_bin(self.poses[:, 2], turn))
         )
         _, which = np.unique(cells, axis=0, return_inverse=True)
         crowd = np.bincount(which, self.weights)[which]

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgloc.errors import ConfigError
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, Hypothesis, Localization, Pose2D
 
@@ -33,32 +32,29 @@ class Index:
     floor: float
 
 
-def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index:
+def performance_index(densities: Sequence[float]) -> Index:
     """Average the logarithms of relative densities (n,), ``p(x_k | z_k) V`` of each trial: eq. 12.
-
-    `floor` is the share of the uniform density that is mixed in. If it is not between 0 and 1, a
-    ConfigError is raised. A density that is negative or not finite raises a ValueError.
 
     Examples
     --------
-    >>> S = performance_index([4.0, 0.0], floor=0.5)  # log(0.5 * 4 + 0.5), log(0.5)
-    >>> round(S.value, 4), S.floored
-    (0.1116, 1)
+    >>> S = performance_index([4.0, 0.0])  # nearly log(4), and log(0.001)
+    >>> round(S.value, 2), S.floored
+    (-2.76, 1)
     """
-    if not 0 < floor < 1:
-        raise ConfigError(f"floor must be a share between 0 and 1, got {floor}")
-    p = np.asarray(densities, dtype=np.float64)
-    if not (np.isfinite(p).all() and (p >= 0).all()):
-        raise ValueError("densities must be finite and not negative")
-    return index_of(np.log((1 - floor) * p + floor), floor)
+    return index_of(with_floor(np.asarray(densities, dtype=np.float64)))
 
 
-def index_of(logs: FloatArray, floor: float) -> Index:
-    """Average logarithms (n,) of relative densities into which `floor` is mixed already."""
+def with_floor(densities: FloatArray) -> FloatArray:
+    """Logarithms of relative densities with :data:`FLOOR` mixed in."""
+    return np.asarray(np.log((1 - FLOOR) * densities + FLOOR))
+
+
+def index_of(logs: FloatArray) -> Index:
+    """Average logarithms (n,) of :func:`with_floor`."""
     n, unknown = len(logs), float("nan")
     error = float(logs.std(ddof=1) / np.sqrt(n)) if n > 1 else unknown
-    floored = int((logs < np.log((1 - floor) * floor + floor)).sum())
-    return Index(float(logs.mean()) if n else unknown, error, n, floored, floor)
+    floored = int((logs < with_floor(np.array(FLOOR))).sum())
+    return Index(float(logs.mean()) if n else unknown, error, n, floored, FLOOR)
 
 
 def density_in_stack(

@@ -1,35 +1,38 @@
 """Common parts of the grid filter and the particle filter: scans, lasers and the belief."""
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Belief, Followed, belief_of
 from imgloc.filters.evidence import misfit_near, usable, view_of
+from imgloc.filters.motion import MotionNoise, way_of
 from imgloc.model import FloatArray, LaserScan
-from imgloc.options import Options
+from imgloc.numbers import number
+from imgloc.options import Length, Metres, Nats, Options, Share, Step
+from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import drawn_thick
 
 
-class Limits(Protocol):
-    """The options that decide a verdict."""
+@dataclass(frozen=True)
+class ScannedOptions(Checked):
+    """Settings that both filters have."""
 
-    @property
-    def mass(self) -> float:
-        """Least mass of the best place for ``unique``, 0..1."""
-
-    @property
-    def sure(self) -> float:
-        """Metres for which a place must be the best one before it is ``unique``."""
-
-    @property
-    def surprise(self) -> float:
-        """Nats per reading by which the misfit of a ``unique`` place may exceed the usual one."""
-
-    @property
-    def misfit(self) -> float:
-        """Largest misfit, nats per reading, at which the filter is not ``lost``."""
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    #: metres and radians of motion after which all of a scan's evidence is new
+    fresh: tuple[Length, Step] = number("ScannedOptions.fresh")
+    #: share of a scan's evidence that counts without any motion
+    least_new: Share = number("ScannedOptions.least_new")
+    mass: Share = number("ScannedOptions.mass")  #: least mass of a ``unique`` place
+    #: metres for which a place must be the best one before it is ``unique``
+    sure: Metres = number("ScannedOptions.sure")
+    #: nats per reading by which the misfit of a ``unique`` place may exceed the usual one
+    surprise: Nats = number("ScannedOptions.surprise")
+    #: largest misfit, nats per reading, at which the filter is not ``lost``
+    misfit: Nats = number("ScannedOptions.misfit")
 
 
 class ScannedFilter(ABC):
@@ -41,19 +44,19 @@ class ScannedFilter(ABC):
         The map.
     options : Options
         Options of the search.
-    limits : Limits
-        Limits of the verdict.
+    how : ScannedOptions
+        Settings of the filter.
 
     Notes
     -----
     On walls that others drew thick, and so off by decimetres, the wrong bay of a corridor fits as
-    well as the right one. Nothing is ``unique`` there, unless the options say how the walls are.
+    well as the right one. Nothing is ``unique`` there, unless the options state how the walls are.
     """
 
     knows_bent = True  #: whether the score of the whole belief allows for bent walls
 
-    def __init__(self, features: MapFeatures, options: Options, limits: Limits) -> None:
-        self.options, self._limits = options, limits
+    def __init__(self, features: MapFeatures, options: Options, how: ScannedOptions) -> None:
+        self.options, self._how = options, how
         self.features = features.thinner(options.shared.thinner)
         self._lasers, self._last, self._followed = Lasers(), Laser(), Followed()
         self._resets = 0
@@ -65,18 +68,48 @@ class ScannedFilter(ABC):
 
     @property
     @abstractmethod
+    def belief(self) -> Belief:
+        """The belief now."""
+
+    @property
+    @abstractmethod
     def _best(self) -> FloatArray:
         """The best pose (1, 3), or none (0, 3)."""
 
     @abstractmethod
-    def _see(self, scan: LaserScan) -> None:
-        """Take a scan that is not blind."""
+    def _move(self, increment: FloatArray) -> None:
+        """Move the belief by a motion (3,) that is not 0."""
+
+    @abstractmethod
+    def _see(self, scan: LaserScan, new: float) -> None:
+        """Take a scan that is not blind; the share `new` of its evidence counts."""
+
+    @property
+    def _few(self) -> Options:
+        """The options with which many poses are scored by few readings."""
+        fused = replace(self.options.fused, rays=self.options.fused.few_rays)
+        return replace(self.options, fused=fused, top=1)
+
+    def move(
+        self, increment: FloatArray,
+        covariance: FloatArray | None = None, *, known: bool = True,  # noqa: ARG002
+    ) -> None:  # fmt: skip
+        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
+        if np.any(increment):
+            self._followed.move(increment)
+            self._lasers.move(way_of(increment))
+            self._move(increment)
 
     def see(self, scan: LaserScan) -> None:
         """Weigh the belief by a scan. A blind scan changes nothing."""
         seen = usable(scan, self.options)
-        if seen is not None:
-            self._see(seen)
+        if seen is None:
+            return
+        laser, how = self._lasers.of(seen), self._how
+        self._see(seen, float(np.clip((laser.way / how.fresh).sum(), how.least_new, 1.0)))
+        laser.way, self._last = np.zeros(2), laser
+        laser.learn(self._misfit_at_best(seen))
+        self._followed.best(self.belief.poses[0])
 
     def miss(self, seconds: float) -> None:  # noqa: B027 which is all that it does
         """Do nothing for a blind scan, because motion alone widens the belief."""
@@ -86,7 +119,7 @@ class ScannedFilter(ABC):
         seen = usable(scan, self.options)
         if seen is None or not len(self._best):
             return False
-        return self._misfit_at_best(seen) > self._lasers.of(seen).last + self._limits.surprise
+        return self._misfit_at_best(seen) > self._lasers.of(seen).last + self._how.surprise
 
     def _misfit_at_best(self, scan: LaserScan) -> float:
         view = view_of(scan, self.options)
@@ -94,10 +127,10 @@ class ScannedFilter(ABC):
 
     def _belief_of(self, poses: FloatArray, mass: FloatArray, neff: float) -> Belief:
         """The places of weighted poses (N, 3), mass (N,), and the verdict."""
-        limits, last = self._limits, self._last
-        strange = last.last > last.usual + limits.surprise
+        how, last = self._how, self._last
+        strange = last.last > last.usual + how.surprise
         return belief_of(
-            poses, mass, sure=limits.mass, lost=last.last > limits.misfit,
-            doubted=bool(self.unsure) or strange or self._followed.metres < limits.sure,
+            poses, mass, sure=how.mass, lost=last.last > how.misfit,
+            doubted=bool(self.unsure) or strange or self._followed.metres < how.sure,
             neff=neff, resets=self._resets,
         )  # fmt: skip

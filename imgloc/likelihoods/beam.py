@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.geometry import theta_bin, wrap
+from imgloc.geometry import theta_bin
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.numbers import number
+from imgloc.options import EvidenceModel
 from imgloc.threads import over_slices
 
 _CM = 100.0
@@ -22,16 +23,13 @@ def beam(
     ranges: FloatArray,
     angles: FloatArray,
     valid: BoolArray,
-    no_return: BoolArray,
     thetas: FloatArray,
     *,
-    sigma: float = number("beam.sigma"),
+    sigma: float = EvidenceModel().sigmas[0],
     sigma_theta: float = 0.0,
-    hit: float = number("beam.hit"),
+    hit: float = EvidenceModel.hit,
     short: float = number("beam.short"),
-    span: float = number("beam.span"),
-    lost: float = 1.0,
-    range_max: float = np.inf,
+    span: float = EvidenceModel.span,
     threads: int = 1,
 ) -> Float32Array:
     """Compute the log-likelihood of a scan for the poses at all cell centres and headings.
@@ -43,8 +41,9 @@ def beam(
         :func:`imgloc.features.raydistance.ray_distances`. n_psi is a multiple of K.
     ranges, angles : (N,) float arrays
         Metres, and radians in the sensor frame.
-    valid, no_return : (N,) bool arrays
-        The masks of a :class:`imgloc.model.LaserScan`. A reading in neither is no evidence.
+    valid : (N,) bool array
+        The mask of a :class:`imgloc.model.LaserScan`. Other readings, also those without return,
+        are no evidence: real sensors lose readings on dark and slanted surfaces.
     thetas : (K,) float array
         Headings, radians, uniform over the circle and starting at 0.
     sigma, sigma_theta : float
@@ -55,10 +54,6 @@ def beam(
         `hit` is the share of readings of the mapped wall, `short` that of something unmapped before
         it. The rest, > 0, may also come from *behind* the wall. Both `short` and the rest are
         spread over `span` metres.
-    lost, range_max : float
-        Probability of no return although a wall is within `range_max` metres. 1 makes missing
-        readings neutral and needs no `range_max`: real sensors lose readings on dark and slanted
-        surfaces.
     threads : int
         Number of threads, each for some headings. The result does not depend on it.
 
@@ -70,7 +65,7 @@ def beam(
     Raises
     ------
     ConfigError
-        If an array has a wrong shape or a parameter is out of its range.
+        If n_psi is no multiple of the number of headings.
 
     Notes
     -----
@@ -86,30 +81,19 @@ def beam(
     >>> from imgloc.features.raydistance import ray_distances
     >>> d = ray_distances(np.array([[1, 0, 0, 0, 0, 1]], bool), 0.1, 4, 5.0)
     >>> one = np.array([True])
-    >>> L = beam(d, np.array([0.25]), np.zeros(1), one, ~one, np.array([0, np.pi]), sigma=0.05)
+    >>> L = beam(d, np.array([0.25]), np.zeros(1), one, np.array([0, np.pi]), sigma=0.05)
     >>> L.argmax(axis=2)[:, 0].tolist()
     [2, 3]
     """
-    distances = np.asarray(distances)
-    rho, phi = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
-    _check(
-        distances, thetas, {"ranges": rho, "angles": phi, "valid": valid, "no_return": no_return}
-    )
     n_psi, k = len(distances), len(thetas)
-    if threads < 1:
-        raise ConfigError(f"threads must be at least 1, got {threads}")
-    _check_model(sigma, sigma_theta, hit, short, span, lost, range_max)
+    if n_psi % k:
+        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
 
     floors = (1 - hit - short) / span, (1 - hit) / span
     beams = []
-    for r, a in zip(rho[valid], phi[valid], strict=True):
+    for r, a in zip(ranges[valid], angles[valid], strict=True):
         deviation = float(np.hypot(sigma, r * sigma_theta))
         beams.append((int(theta_bin(a, n_psi)), *_hit_table(r, deviation, hit, floors)))
-    if lost < 1:
-        start = max(0, round(range_max * _CM) - _REACH)
-        beyond = start + np.arange(256) >= round(range_max * _CM)
-        table = np.where(beyond, 0.0, np.log(lost)).astype(np.float32)
-        beams += [(int(theta_bin(a, n_psi)), start, 1.0, table) for a in phi[no_return]]
 
     out = np.zeros((k, *distances.shape[1:]), np.float32)
     rows = max(1, _BLOCK // max(1, distances.shape[2]))
@@ -132,44 +116,6 @@ def beam(
     tops = range(0, distances.shape[1], rows)
     over_slices(work, [(index, top) for index in range(k) for top in tops], threads)
     return out
-
-
-def _check_model(
-    sigma: float, sigma_theta: float, hit: float, short: float, span: float, lost: float,
-    range_max: float,
-) -> None:  # fmt: skip
-    """Refuse parameters that are out of their ranges."""
-    if not (sigma > 0 and sigma_theta >= 0 and span > 0):
-        raise ConfigError(
-            f"sigma {sigma} and span {span} must be positive, "
-            f"sigma_theta {sigma_theta} not negative"
-        )
-    if not (hit >= 0 and short >= 0 and hit + short < 1):
-        raise ConfigError(f"hit {hit} and short {short} must be shares with a sum below 1")
-    if not 0 < lost <= 1 or (lost < 1 and not np.isfinite(range_max)):
-        raise ConfigError(
-            f"lost {lost} must be in (0, 1], with a finite range_max (got {range_max}) below 1"
-        )
-
-
-def _check(
-    distances: npt.NDArray[np.uint16],
-    thetas: FloatArray,
-    readings: dict[str, FloatArray | BoolArray],
-) -> None:
-    """Refuse distances, headings and readings whose shapes do not go together."""
-    if distances.ndim != 3 or distances.dtype != np.uint16:
-        found = f"{distances.shape} {distances.dtype}"
-        raise ConfigError(f"distances must be a (n_psi, H, W) uint16 stack, got {found}")
-    n_psi, k = len(distances), len(thetas)
-    if k < 1 or n_psi % k:
-        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
-    if not np.allclose(wrap(thetas - np.arange(k) * (2 * np.pi / k)), 0, atol=1e-9):
-        raise ConfigError("thetas must be 2 pi k / K for k = 0 .. K - 1")
-    shapes = {name: np.shape(values) for name, values in readings.items()}
-    if len({*shapes.values()}) > 1 or len(shapes["ranges"]) != 1:
-        found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise ConfigError(f"{found} must be vectors of one length")
 
 
 def heading_sigma(n_thetas: int) -> float:

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError
 from imgloc.features.fields import BMAP_LEVELS, in_levels
 from imgloc.likelihoods.correlate import WEIGHTED, choose_engine, correlate
 from imgloc.likelihoods.kernels import remap_stack
 from imgloc.likelihoods.shift import Summable, merge_repeats, shift_stack, tiles_of
-from imgloc.likelihoods.slices import cell_offsets, check_arguments, finishing, frame_of
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
+from imgloc.likelihoods.slices import cell_offsets, finishing, output_stack
+from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
 # Projections are in -VMAP_LEVELS..VMAP_LEVELS: sums of 258 readings fit into int16.
 VMAP_LEVELS = 127
@@ -25,7 +24,6 @@ def cbml(
     *,
     engine: str = "auto",
     threads: int = 1,
-    where: BoolArray | None = None,
     out: Float32Array | None = None,
 ) -> Float32Array:
     """Correlate the scan with the blurred map: CBML, Alg. 1 in the order of Alg. 2.
@@ -39,7 +37,7 @@ def cbml(
         Blurred walls, 0..1, from :func:`imgloc.features.fields.bmap`.
     points_xy : (N, 2) float array
         Scan points, sensor frame, metres. Points that are not finite are left out.
-    thetas, resolution, engine, threads, where, out
+    thetas, resolution, engine, threads, out
         See :func:`imgloc.likelihoods.correlate.correlate`.
 
     Returns
@@ -49,9 +47,8 @@ def cbml(
 
     Raises
     ------
-    ConfigError, ValueError
-        If `engine`, `threads` or `resolution` is out of its range; if an array does not fit, or
-        `bmap` leaves 0..1.
+    ValueError
+        If `out` does not fit.
 
     Examples
     --------
@@ -62,10 +59,9 @@ def cbml(
            [0., 2., 0.],
            [0., 1., 0.]], dtype=float32)
     """
-    image = in_levels(bmap, "; see imgloc.features.fields.bmap")
     return correlate(
-        image, points_xy, thetas, resolution, divisor=BMAP_LEVELS,
-        engine=engine, threads=threads, where=where, out=out,
+        in_levels(bmap), points_xy, thetas, resolution, divisor=BMAP_LEVELS,
+        engine=engine, threads=threads, out=out,
     )  # fmt: skip
 
 
@@ -78,7 +74,6 @@ def cbml_o(
     directions: int = 64,
     engine: str = "auto",
     threads: int = 1,
-    where: BoolArray | None = None,
     projections: npt.NDArray[np.int16] | None = None,
     out: Float32Array | None = None,
 ) -> Float32Array:
@@ -102,7 +97,7 @@ def cbml_o(
     projections : (directions // 2, H, W) int16 array, optional
         The field's projections from :func:`project`, to be reused from scan to scan. Only ``shift``
         uses them.
-    thetas, resolution, threads, where, out
+    thetas, resolution, threads, out
         See :func:`imgloc.likelihoods.correlate.correlate`.
 
     Returns
@@ -112,9 +107,8 @@ def cbml_o(
 
     Raises
     ------
-    ConfigError, ValueError
-        If `engine`, `threads`, `resolution` or `directions` is out of its range; if an array does
-        not fit, or a vector is longer than 1.
+    ValueError
+        If `out` does not fit.
 
     Examples
     --------
@@ -126,20 +120,15 @@ def cbml_o(
     >>> cbml_o(vmap, scan, np.zeros(1), 1.0)[0].round(2).tolist()
     [[0.0, 1.0, 0.0]]
     """
-    field = checked_field(vmap, directions)
-    check_arguments(resolution, threads)
+    field = np.asarray(vmap, dtype=np.float32)
     usable = points.select(
         points.valid & np.isfinite(points.xy).all(axis=1) & np.isfinite(points.alpha)
     )
     headings = np.asarray(thetas, dtype=np.float64)
-    frame = frame_of(np.any(field, axis=0), len(headings), where, out)
-    half, view = directions // 2, frame.view
-    expected = (half, *field.shape[1:])
-    if projections is not None and projections.shape != expected:
-        raise ValueError(f"projections must be {expected}, got {projections.shape}")
-    if view.size == 0:
-        return frame.out
-    field = field[(slice(None), *frame.window)]
+    half, shape = directions // 2, (int(field.shape[1]), int(field.shape[2]))
+    out = output_stack(out, (len(headings), *shape))
+    if out.size == 0:
+        return out
 
     def facing(turn: FloatArray | float) -> tuple[IntArray, IntArray]:
         """Direction of each normal, and its projection: k >= 0 to add, -1 - k to subtract."""
@@ -149,25 +138,20 @@ def cbml_o(
 
     offsets = cell_offsets(usable.xy, headings, resolution)
     direction, which = facing(headings[:, None])
-    tiles = tiles_of(view.shape[1:], frame.where)
-    engine = choose_engine(engine, offsets, view.shape[1:], tiles, components=2, which=which)
+    tiles = tiles_of(shape)
+    engine = choose_engine(engine, offsets, shape, tiles, components=2, which=which)
     if engine in WEIGHTED:
         vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4
-        finish = finishing(1.0, frame.where)
-        WEIGHTED[engine](field, offsets, vectors, threads, view, False, finish)
-        return frame.out
-    limit, finish = np.iinfo(np.int16).max // VMAP_LEVELS, finishing(VMAP_LEVELS, frame.where)
+        WEIGHTED[engine](field, offsets, vectors, threads, out, False, finishing(1.0))
+        return out
+    limit, finish = np.iinfo(np.int16).max // VMAP_LEVELS, finishing(VMAP_LEVELS)
     if engine == "shift":
-        images = (
-            project(field, directions)
-            if projections is None
-            else projections[(slice(None), *frame.window)]
-        )
+        images = project(field, directions) if projections is None else projections
         shift_stack(
             list(images), lambda k: merge_repeats(offsets[k], which[k]), limit, tiles, threads,
-            view, finish,
+            out, finish,
         )  # fmt: skip
-        return frame.out
+        return out
 
     def turned_projections(image: Float32Array, theta: float) -> Sequence[Summable]:
         c, s = np.float32(np.cos(theta)), np.float32(np.sin(theta))
@@ -177,9 +161,9 @@ def cbml_o(
     scan = merge_repeats(cell_offsets(usable.xy, np.zeros(1), resolution)[0], facing(0.0)[1])
     remap_stack(
         np.ascontiguousarray(np.moveaxis(field, 0, -1)), headings, turned_projections, scan,
-        limit, threads, view, finish,
+        limit, threads, out, finish,
     )  # fmt: skip
-    return frame.out
+    return out
 
 
 def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
@@ -195,7 +179,7 @@ def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
     >>> project(vmap, 8).ravel().tolist()
     [127, 90, 0, -90]
     """
-    field = checked_field(vmap, directions)
+    field = np.asarray(vmap, dtype=np.float32)
     out = np.empty((directions // 2, *field.shape[1:]), dtype=np.int16)
     for image, (c, s) in zip(out, unit_vectors(directions), strict=False):
         np.rint(VMAP_LEVELS * (field[0] * c + field[1] * s), out=image, casting="unsafe")
@@ -206,16 +190,3 @@ def unit_vectors(directions: int) -> Float32Array:
     """Cosine and sine of each direction, (directions, 2) float32."""
     a = np.arange(directions) * (2 * np.pi / directions)
     return np.stack((np.cos(a), np.sin(a)), axis=1).astype(np.float32)
-
-
-def checked_field(vmap: Float32Array, directions: int) -> Float32Array:
-    """Return `vmap` as float32, a pair of images of magnitude 0..1, if `directions` is even."""
-    field = np.asarray(vmap, dtype=np.float32)
-    if field.ndim != 3 or field.shape[0] != 2:
-        raise ValueError(f"vmap must have shape (2, H, W), got {field.shape}")
-    longest = np.sqrt(np.max(field[0] ** 2 + field[1] ** 2, initial=0.0))
-    if not longest <= 1 + 1e-5:
-        raise ValueError(f"vmap must have vectors of length 0..1, got {longest:g}")
-    if directions < 2 or directions % 2:
-        raise ConfigError(f"directions must be an even number of at least 2, got {directions}")
-    return field

@@ -1,6 +1,5 @@
 """The stack of a method by its name."""
 
-from collections.abc import Sequence
 from typing import Protocol
 
 from imgloc.errors import ConfigError, expect
@@ -65,16 +64,16 @@ def likelihood(
     if isinstance(options, str):
         options = Options(options)
     expect(features, MapFeatures, "features")
-    check_method(options.method, tuple(METHODS))
+    if options.method not in METHODS:
+        raise ConfigError(f"method must be one of {', '.join(METHODS)}, got {options.method!r}")
     thetas, lattice = options.thetas, features.lattice
     method, threads, budget = options.method, options.threads, options.memory_budget
     n, shape = len(thetas), lattice.shape
     need = stack_bytes(method, shape, n, threads=threads, n_rays=features.n_rays)
     what = f"{method} on {n} headings x {shape[0]} x {shape[1]} cells"
     check_budget(need, budget, what, "use larger cells, a larger theta step, or the method 'fused'")
-    engine = options.engine
     values = stack_of(
-        method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
+        method, features, scan, thetas, engine=options.engine, threads=threads, memory_budget=budget
     )  # fmt: skip
     values.flags.writeable = False  # nobody else has it: no need of a copy
     return Likelihood(values, thetas, lattice, method, scan)
@@ -105,12 +104,6 @@ def check_stack(
         raise ConfigError(f"stack: got one of another scan, {stack.scan!r}, expected {scan!r}")
 
 
-def check_method(name: str, known: Sequence[str]) -> None:
-    """Raise a ConfigError that names the `known` methods if `name` is none of them."""
-    if name not in known:
-        raise ConfigError(f"method must be one of {', '.join(known)}, got {name!r}")
-
-
 def stack_of(
     method: str,
     features: MapFeatures,
@@ -125,8 +118,8 @@ def stack_of(
 
     `thetas` (K,) are headings in radians, uniform over the circle from 0. `engine` computes the
     correlations: "auto", "filter2d", "shift", "dft" or "remap". The result does not depend on
-    `threads`. A ConfigError is raised for a method without a stack, and if the ray distances of
-    ``beam`` take more bytes than `memory_budget`, by default that of the map.
+    `threads`. A ConfigError is raised if the ray distances of ``beam`` take more bytes than
+    `memory_budget`, by default that of the map.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
@@ -135,7 +128,7 @@ def stack_of(
     if method == "beam":
         distances = f.ray_distances_within(memory_budget or f.memory_budget)
         return beam(
-            distances, scan.ranges, scan.angles, scan.valid, scan.no_return, thetas,
+            distances, scan.ranges, scan.angles, scan.valid, thetas,
             sigma=cell / 2, sigma_theta=heading_sigma(len(thetas)), threads=threads,
         )  # fmt: skip
     points = scan_points(scan.ranges, scan.angles, scan.valid)
@@ -143,6 +136,4 @@ def stack_of(
         return cbml_o(f.vmap, points, thetas, cell, engine=engine, threads=threads)
     if method == "ght":
         return ght(f.surface, points, len(thetas), shape, cell, threads=threads)
-    if method == "ght-v":
-        return ght_v(f.surface, f.visibility, points, len(thetas), shape, cell, threads=threads)
-    raise ConfigError(f"{method!r} has no stack")
+    return ght_v(f.surface, f.visibility, points, len(thetas), shape, cell, threads=threads)

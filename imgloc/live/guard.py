@@ -77,7 +77,8 @@ class Access:
     @property
     def loopback(self) -> bool:
         """True if only this machine reaches the service."""
-        return _loopback(self.host)
+        local = _is_address(self.host) and ipaddress.ip_address(self.host).is_loopback
+        return self.host == "localhost" or local
 
     def admits(self, host: str) -> bool:
         """Return whether the Host of a request is this service."""
@@ -118,10 +119,6 @@ class Access:
                     return False
         known = (self.token or "").encode()
         return any(hmac.compare_digest(one.encode(), known) for one in given)
-
-
-def _loopback(host: str) -> bool:
-    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
 
 
 def _is_address(name: str) -> bool:

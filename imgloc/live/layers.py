@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from skimage.draw import polygon2mask
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
@@ -103,16 +104,8 @@ def region_cells(grid: OccupancyGrid, corners: FloatArray) -> BoolArray:
     [[True, True, False], [False, False, False]]
     """
     placed = [in_grid_frame(Pose2D(x, y), grid) for x, y in corners]
-    x, y = np.array([(p.x, p.y) for p in placed]).T / grid.resolution - 0.5
-    height, width = grid.occupied.shape
-    rows = np.arange(height)[:, None]
-    row, edge = np.nonzero((y <= rows) != (np.roll(y, -1) <= rows))  # that the edge crosses
-    x2, y2 = np.roll(x, -1)[edge], np.roll(y, -1)[edge]
-    at = x[edge] + (row - y[edge]) * (x2 - x[edge]) / (y2 - y[edge])
-    # In a row, the polygon begins and ends at every second crossing.
-    turns = np.zeros((height, width + 1), np.uint8)
-    np.add.at(turns, (row, np.clip(np.ceil(at), 0, width).astype(np.intp)), 1)
-    cells = np.bitwise_xor.accumulate(turns & 1, axis=1)[:, :width].view(np.bool_)
+    corner = np.array([(p.y, p.x) for p in placed]) / grid.resolution - 0.5
+    cells = np.asarray(polygon2mask(grid.occupied.shape, corner), np.bool_)
     if not cells.any():
         raise ConfigError("region: it contains no cell of the map, expected some")
     return cells

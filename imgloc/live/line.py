@@ -69,7 +69,7 @@ class Line:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._waiting = dict[Key, _Task]()
-        self._counts = Counter[Key]()
+        self.counts = Counter[Key]()  #: scans dropped so far, by their place in the line
         self._turns = dict[Key, int]()  # when each place had its last turn
         self._total = self._done = 0
         self._busy = self._closed = False
@@ -89,10 +89,6 @@ class Line:
     def dropped(self) -> int:
         """Number of scans dropped so far."""
         return self._total
-
-    def dropped_of(self, key: Key) -> int:
-        """Number of scans dropped so far at one place in the line."""
-        return self._counts[key]
 
     def put(self, key: Key, work: Callable[[float], Any], stamp: float = math.nan) -> "Future[Any]":
         """Queue work, a function of the seconds that it has waited.
@@ -134,7 +130,7 @@ class Line:
     def forget(self, kind: Hashable) -> None:
         """Forget the counts of one kind."""
         with self._changed:
-            for kept in (self._counts, self._turns):
+            for kept in (self.counts, self._turns):
                 for key in [key for key in kept if key.kind == kind]:
                     del kept[key]
 
@@ -159,7 +155,7 @@ class Line:
 
     def _count(self, key: Key) -> None:
         self._total += 1
-        self._counts[key] += 1
+        self.counts[key] += 1
 
     def _leave(self, key: Key, future: "Future[Any]") -> None:
         """Take out work that was cancelled while it waited."""

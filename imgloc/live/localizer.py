@@ -26,7 +26,8 @@ from typing import Any, Generic, TypeVar
 from imgloc.choice.choose import OPTIONS, Choice, Opened, bounds_at, choose, search
 from imgloc.choice.folder_index import MapIndex, index_of
 from imgloc.errors import ConfigError, expect
-from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking, start_of
+from imgloc.filters.evidence import DEVIATION
+from imgloc.filters.follow import Follower, Moment, Tracking, start_of
 from imgloc.live.line import Dropped, Key, Line
 from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
@@ -554,7 +555,7 @@ class Localizer:
     ) -> Answer[T]:  # fmt: skip
         took = time.perf_counter() - begin
         age = (clock or self._clock)() - scan.stamp
-        dropped = self._line.dropped_of(key)
+        dropped = self._line.counts[key]
         return Answer(value, name, scan.stamp, age, 1e3 * waited, 1e3 * took, dropped, era)
 
     def _next_era(self) -> int:

@@ -7,7 +7,7 @@ waiting    a map that is ready, and a scan                 the first scan: tryin
 trying     a pose of which the belief is sure              it is there: confirmed; `tries`: given up
 confirmed  its pose to be published                        that it was: quiet
 quiet      nothing: whoever was told the pose goes on      start(): waiting
-given up   nothing: this place does not say where it is    start(): waiting
+given up   nothing: this place is like others              start(): waiting
 ========== =============================================== ========================================
 
 A new map, a reset and a request each call start(). The belief is that of a filter, so a place is
@@ -89,7 +89,8 @@ class FirstPose:
             return True
         if found.new and abs(found.stamp - self._counted) >= self.rules.every:
             self.tries, self._counted = self.tries + 1, found.stamp
-        self._give_up()
+        if self.tries >= self.rules.tries:
+            self.state = GIVEN_UP
         return False
 
     def due(self, stamp: float, odom: Pose2D | None) -> bool:
@@ -106,10 +107,6 @@ class FirstPose:
     def answered(self) -> None:
         """Take note that what was due has an answer, or will have none."""
         self._open = False
-
-    def _give_up(self) -> None:
-        if self.tries >= self.rules.tries:
-            self.state = GIVEN_UP
 
     def fresh(self, stamp: float, now: float) -> bool:
         """Return whether a scan is young enough; one from the future, by another clock, is not."""

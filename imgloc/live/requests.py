@@ -166,11 +166,6 @@ def scans_of(
             raise type(error)(str(error).replace(str(path), label)) from None
 
 
-def marked_bytes(scans: ScanSet) -> int:
-    """Bytes that a body that marks scans may have: :func:`marked_of`."""
-    return 200 + 200 * len(scans)
-
-
 def marked_of(body: bytes, scans: ScanSet) -> ScanSet:
     """The scans that a body marks with the poses of their sensors, map frame.
 

@@ -28,7 +28,7 @@ THICKEST: tuple[float, ...] = tuple(number("floorplan.thickest"))
 
 
 class Kind(IntEnum):
-    """What a pixel of a plan may be."""
+    """Kinds of a pixel of a plan."""
 
     PAPER, WALL, SWING, TEXT, SYMBOL, HATCH, LINE, OUTSIDE, FRAME = range(9)
 
@@ -60,7 +60,7 @@ _ROW = (
 
 @dataclass(frozen=True)
 class Removed:
-    """What of one kind was taken from a plan."""
+    """Pieces of one kind that were taken from a plan."""
 
     kind: str  #: of :data:`KINDS`
     count: int  #: connected pieces
@@ -69,7 +69,7 @@ class Removed:
 
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
-    """What was made of a plan, or of a floor of a drawing."""
+    """The map that was made of a plan, or of a floor of a drawing, and how."""
 
     grid: OccupancyGrid  #: the map: walls occupied, rooms free, all around the building unknown
     #: (H, W) uint8: what each pixel was taken for, an index of :data:`KINDS`; row 0 is the lowest
@@ -100,7 +100,7 @@ class FloorPlan:
 
     @property
     def free_area(self) -> float:
-        """Of the map, square metres."""
+        """Free area of the map, square metres."""
         return float(np.count_nonzero(self.grid.free)) * self.grid.resolution**2
 
     @property
@@ -146,7 +146,7 @@ class FloorPlan:
 
     @property
     def doubt(self) -> str:
-        """Why the map is most likely wrong; empty if nothing says so."""
+        """Why the map is most likely wrong; empty if nothing is against it."""
         missed = "the building was most likely missed"
         cut = "a part of the building was most likely cut off"
         signs = (
@@ -183,7 +183,7 @@ class FloorPlan:
         )
 
     def as_row(self) -> dict[str, Any]:
-        """What was found, as `imgloc map plan --json` writes it."""
+        """The row of the plan, as `imgloc map plan --json` writes it."""
         low, median, high = self.thickness
         return {
             "size": dict(zip(("width", "height"), self.size, strict=True)),
@@ -239,7 +239,7 @@ def inside_of(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArr
 
 
 def _largest(inside: BoolArray, walls: BoolArray) -> BoolArray:
-    """What is inside of the largest building: cells joined by walls, as a title's are not."""
+    """The inside of the largest building: cells joined by walls, as a title's are not."""
     labels, stats = masks.pieces(inside | walls)
     areas = np.bincount(labels[inside], minlength=len(stats))
     return np.asarray(inside & (labels == int(np.argmax(areas))))

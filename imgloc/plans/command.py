@@ -29,7 +29,7 @@ PlanScale = Annotated[float, Within(1e-6, 1, "metres a pixel, or a unit")]
 
 @dataclass(frozen=True)
 class Drawing:
-    """How walls are drawn on a plan, and the cells that they become."""
+    """The way in which walls are drawn on a plan, and the cells that they become."""
 
     cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
         None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
@@ -228,7 +228,7 @@ def _pixels(
 def _scale(
     name: str, resolution: float | None, distance: Sequence[float] | None, size: "ImageSize"
 ) -> float:
-    """Metres a pixel of a plan, as stated or as two points tell; a ConfigError without either."""
+    """Metres a pixel of a plan, as stated or by two points; a ConfigError without either."""
     from imgloc.plans.files import measured_resolution
 
     if (resolution is None) == (distance is None):

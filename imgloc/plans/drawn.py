@@ -1,7 +1,7 @@
 """From the strokes of a drawing to maps: what each is, how large, and where a building is.
 
-The name of a layer or block tells most of it, in any of several languages. What no name tells the
-shapes do: an arc with a straight leaf is a door, and the widths of doors tell the unit.
+The name of a layer or block has most of it, in any of several languages. Where no name has it, the
+shapes do: an arc with a straight leaf is a door, and the widths of doors are a measure of the unit.
 """
 
 import re
@@ -47,12 +47,10 @@ _ROOM = 1.5  # square metres of a room, at least
 
 #: What names of layers and blocks begin with, or hold if four letters or more; the first counts.
 _STEMS: dict[str, str] = {
-    "thing": (
-        "furn arred mobil möbel moebel mobel meubl mueble мебел 家具 equip attrezz sanit wc eq "
-        "kitchen küche cucina fixture appliance chair table sofa bed desk plant veget tree car "
-        "people table toilet bath sink 洁具 卫生 设备 сантех einricht inventar "
-        "kalust έπιπλ επιπλ أثاث ריהוט thất bútor"
-    ),
+    "thing": "furn arred mobil möbel moebel mobel meubl mueble мебел 家具 equip attrezz sanit wc "
+    "eq kitchen küche cucina fixture appliance chair table sofa bed desk plant veget tree car "
+    "people toilet bath sink 洁具 卫生 设备 сантех einricht inventar kalust έπιπλ επιπλ أثاث "
+    "ריהוט thất bútor",
     "note": (
         "dim dims quot cota cotas bemas maß text txt scritt anno annot title titol cartig stempel "
         "axe axes axis asse assi achs eje grid frame border rahmen symb level rights proje proie "
@@ -69,8 +67,8 @@ _STEMS: dict[str, str] = {
     "wall": "wall mur mure murs muro muratur wand wänd waende maue paret pared tabiq "
     "alvenar стен перег 墙 壁 ścian scian sten stěn vegg vägg væg seinä duvar dind cloison partit "
     "gips drywall plaster cartong column pilast pilar pillar stütz stuetz poteau колон 柱 kolom "
-    "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות tường tuong cột muur "
-    "dinding tembok 벽",
+    "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות tường tuong cột "
+    "muur dinding tembok 벽",
 }
 _WORDS = re.compile(r"[^\W\d_]+|\.com")
 

@@ -1,8 +1,8 @@
 """From a floor plan to a map: walls as solid bodies, all else that is drawn taken away.
 
 An architect draws a wall filled, as two lines, hatched between these, or as one thick line; and
-besides walls doors with their swings, windows, stairs, furniture, names and dimensions. What tells
-them apart is thickness: a wall is what lines close together enclose, and what is thicker than a
+besides walls doors with their swings, windows, stairs, furniture, names and dimensions. They
+differ in thickness: a wall is what lines close together enclose, and what is thicker than a
 pen. The rest a laser never meets, or not where it is drawn: it is neither wall nor obstacle.
 """
 
@@ -46,7 +46,7 @@ STEPS = 1 + len(building.THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at
 
 @dataclass(frozen=True, eq=False)
 class Between:
-    """What lies between lines of a plan, in pixels."""
+    """The spaces between lines of a plan, in pixels."""
 
     thickest: float  #: metres between the lines of a wall at most
     holes: BoolArray  #: spaces between the lines of a wall
@@ -162,7 +162,7 @@ def _lined(
     drawn: BoolArray, bold: BoolArray, resolution: float, thickest: Sequence[float], thin: float,
     parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
 ) -> tuple[Between, BoolArray]:  # fmt: skip
-    """What is between the lines of walls, by the first thickness that encloses enough; frames."""
+    """The spaces between lines of walls, by the first thickness that encloses enough; frames."""
     line = max(_pen(drawn, 2 * _LETTER / pixel), building.SOFT * resolution / pixel)
     across = max(building.THINNEST / 2, 2 * building.SOFT * resolution) / pixel
     least, frame = max(2.0, thin / pixel), np.zeros_like(drawn)
@@ -558,7 +558,7 @@ def _kinds(
     drawn: BoolArray, walls: BoolArray, inside: BoolArray, hatching: BoolArray, frame: BoolArray,
     swings: list[Door], pixel: float,
 ) -> npt.NDArray[np.uint8]:  # fmt: skip
-    """What each pixel was taken for."""
+    """The kind that each pixel was taken for."""
     arcs = np.zeros(drawn.shape, np.uint8)
     for swing in swings:
         a, b = (np.arctan2(*(end - swing.hinge)[::-1]) for end in (swing.closed, swing.opened))

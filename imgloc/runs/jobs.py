@@ -28,7 +28,7 @@ PICTURES = ("none", "doubtful", "all")
 LOCATING = frozenset({
     "Bending", "Calibration", "EvidenceModel", "FusedOptions", "Trust", "adapt", "background",
     "beam", "faces", "floor", "hypotheses", "messages", "odometry", "options", "pipeline",
-    "posterior", "priors", "proposals", "protection", "refine", "rescore", "tolerances",
+    "priors", "proposals", "protection", "refine", "rescore", "tolerances",
     "trust", "truth", "weigh",
 })  # fmt: skip
 """Families of :mod:`imgloc.numbers` that decide where a scan is."""

@@ -22,7 +22,8 @@ from imgloc.search.rescore import piece_evidence, pieces, score_readings, things
 _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
 """Cells that walls may lose on each side."""
-_SCALES = number("adapt.scales")  # factors from which the search for a scale starts
+FROM_SCALES: tuple[float, ...] = number("adapt.scales")
+"""Factors on the ranges from which the search for a scale starts."""
 THINNER: int = number("adapt.walls")
 """Cells that walls are tried to lose on each side."""
 _GAIN = number("adapt.gain")  # nats per scan that thinner walls, or bent ones, have to gain
@@ -45,7 +46,7 @@ def wall_evidence(
 ) -> FloatArray:
     """Find how much one scan speaks for walls that are too thick, or bent.
 
-    Summed over scans it tells a map that others drew from the robot's own, even where no scan fits
+    Summed over scans it parts a map that others drew from the robot's own, even where no scan fits
     at one place: each scan is placed where it fits best, for each kind of walls anew.
 
     Parameters
@@ -99,7 +100,7 @@ def _pieces(
 def walls_of(evidence: FloatArray, now: Shared) -> Shared:
     """The walls that scans with this :func:`wall_evidence` (N, T, 2) speak for together.
 
-    How thick walls are, straight ones tell: the offset of a bent wall may stand for its thickness.
+    How thick walls are, straight ones show: the offset of a bent wall may stand for its thickness.
 
     Examples
     --------
@@ -132,7 +133,10 @@ def drawn_gain(
     places, known = places[:_PLACES], options.shared.thinner
     told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
     scaled = _pieces(features, known, _OFF, readings, _scaled(places), options)
-    bent, cost = told[min(asked.thinner, THINNER)][1], _AGAINST[0] * np.abs(np.log(_SCALES)).max()
+    bent, cost = (
+        told[min(asked.thinner, THINNER)][1],
+        _AGAINST[0] * np.abs(np.log(FROM_SCALES)).max(),
+    )
     kinds = [(one[0], 0.0) for one in told] + [(scaled[0], float(cost))]
     straight, cost = max(kinds, key=lambda kind: kind[0].sum() - kind[1])
     if not np.isfinite(straight.sum() + bent.sum()):
@@ -149,7 +153,7 @@ def drawn_thick(features: MapFeatures) -> bool:
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
     """Take walls that are drawn thick for bent, unless scans fit far better with straight ones.
 
-    One scan is rarely enough to tell which walls a map has. The image does: walls that scans have
+    One scan is rarely enough to know which walls a map has. The image is: walls that scans have
     shown are a cell or two thick, those that others drew are several decimetres thick, and off by
     as much. The thicker they are, the more must speak for straight walls.
 
@@ -256,5 +260,5 @@ def _scaled(places: FloatArray) -> FloatArray:
 
     A reading that is too long ends behind its wall: refinement pulls it to the wall's far side.
     """
-    with_scale = [np.column_stack((places, np.full(len(places), scale))) for scale in _SCALES]
+    with_scale = [np.column_stack((places, np.full(len(places), scale))) for scale in FROM_SCALES]
     return np.concatenate(with_scale)

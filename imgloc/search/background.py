@@ -2,9 +2,9 @@
 
 Every building has rectangular rooms, so a scan of a room fits somewhere in every map. Four straight
 walls are fitted to the scan alone. Their score shows how much of the scan is only a room: each
-piece of the scan is one of these walls or a thing of its own. What the map explains beyond that is
-evidence for the map. A prior does not change this score: it says nothing about the fit of buildings
-that are on no map.
+piece is one of these walls, or a thing by itself. What the map explains beyond that is
+evidence for the map. A prior does not change this score: it is about this map alone, not about
+buildings that are on no map.
 """
 
 import numpy as np

@@ -1,13 +1,13 @@
 """Where in the cells of a wall its face is: poses that do not lean toward what the sensor sees.
 
-The distance to the nearest border of a wall cannot tell its two sides apart: readings that noise
+The distance to the nearest border of a wall is the same on both its sides: readings that noise
 takes into a thin wall cost nothing, and those that end before it draw the pose forward. Here each
 reading belongs to the side that its ray meets first, and its distance from there has a sign.
 
 A drawn or simulated wall has its face at that border. A wall that was mapped by scans is a band
 that their noise has blurred: the face is within it. A reading that meets it head-on then ends by
 one more or less constant *depth* behind the border, a slanting one by the cosine of that. The depth
-is refined with the pose, because walls on both sides of a sensor tell the two apart. Where they do
+is refined with the pose, because walls on both sides of a sensor part the two. Where they do
 not, the depth is as uncertain as before, and so is the pose along the view.
 """
 

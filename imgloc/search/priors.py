@@ -11,7 +11,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
@@ -105,7 +104,7 @@ def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArr
 
 
 def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
-    """Whether each pose (C, 3), grid frame, is in the prior and can hold a sensor: (C,) bool."""
+    """Return whether each pose (C, 3), grid frame, is in the prior and can hold a sensor: (C,)."""
     cells = cell_of(poses[:, :2], features.grid.resolution)
     ok = inside(cells, features.grid.info)
     ok[ok] = features.standable[tuple(cells[ok].T)]
@@ -180,16 +179,13 @@ def leaves_none(prior: Prior, features: MapFeatures) -> bool:
 def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:
     """Cells (H, W) whose centre is within `radius` metres of a point in the grid frame, metres.
 
-    The cell that holds the point is always one of them. A radius that is not positive and finite
-    raises a ConfigError.
+    The cell that holds the point is always one of them.
 
     Examples
     --------
     >>> near(GridInfo(1, 4, 1.0), 0.5, 0.5, 1.0).tolist()
     [[True, True, False, False]]
     """
-    if not (np.isfinite(radius) and radius > 0):
-        raise ConfigError(f"the radius must be positive and finite, got {radius:g} m")
     columns = (np.arange(info.width) + 0.5) * info.resolution - x
     rows = (np.arange(info.height) + 0.5) * info.resolution - y
     disc = np.asarray(np.add.outer(rows**2, columns**2) <= radius**2 + 1e-9)
@@ -204,8 +200,7 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
 
     Unknown cells and the world off the map are not free, because no robot has been there. The
     distance is that between cell centres, less half a cell. It is exact for walls along the axes,
-    and at most 0.21 cells too large at a corner. A radius that is negative or not finite raises a
-    ConfigError.
+    and at most 0.21 cells too large at a corner.
 
     Examples
     --------
@@ -213,8 +208,6 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
     >>> [int(clearance(OccupancyGrid(~free, free, 1.0), radius).sum()) for radius in (0.5, 1.0)]
     [7, 0]
     """
-    if not (np.isfinite(radius) and radius >= 0):
-        raise ConfigError(f"the clearance must be finite and not negative, got {radius:g} m")
     padded = np.pad(grid.free, 1).astype(np.uint8)
     # Distances are between centres; the blocked cell itself begins half a cell nearer.
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]

@@ -1,4 +1,4 @@
-"""How far the true pose may be from the best one: a radius for each probability.
+"""The distance of the true pose from the best one at most: a radius for each probability.
 
 The true pose is near one of the modes, each with its mass, or elsewhere. Near a mode, its position
 is spread as Student's t, whose tail is longer than a Gaussian's: now and then a pose is worse than
@@ -33,7 +33,7 @@ _erfc = np.frompyfunc(math.erfc, 1, 1)
 
 @dataclass(frozen=True)
 class Spread:
-    """How the true pose is spread around a mode."""
+    """The spread of the true pose around a mode."""
 
     scale: float  #: factor on the standard deviation
     shared: float  #: standard deviation of the error that all readings share, metres or radians
@@ -91,7 +91,7 @@ def protection(
     shares : sequence of float
         Probabilities that the levels hold, each below 1.
     farthest : float
-        Metres from corner to corner of the map: no radius that is larger says anything.
+        Metres from corner to corner of the map: a larger radius means nothing.
 
     Returns
     -------

@@ -28,7 +28,7 @@ The first reading of a thing pays for its place, and the others follow from it: 
 on, the next piece of the same thing pays no price. All ways to share the pieces of a scan out are
 summed, piece after piece.
 
-Rays that meet nothing say less, because glass and dark surfaces return none. Where the map has no
+Rays that meet nothing count less, because glass and dark surfaces return none. Where the map has no
 wall as far as another reading shows that the sensor reaches, they cost nothing. A piece of them (20
 degrees) that should meet a wall is a thing of its own at most: nothing shows that one goes on. A
 building on no map would have walls there, too, so this compares places of the map alone.
@@ -213,7 +213,7 @@ def _told(
 
 
 def by_things(told: FloatArray, own: FloatArray, goes_on: BoolArray) -> FloatArray:
-    """Log-likelihood (C,) of scans cut into pieces, each of the map or of a thing of its own, nats.
+    """Log-likelihood (C,) of scans cut into pieces, each on the map or a thing of its own, nats.
 
     `told` (C, P) has the log-densities of the pieces on the map, `own` (P,) those of things of
     their own, and `goes_on` (P,) is of :func:`pieces`.

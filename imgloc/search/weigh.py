@@ -24,7 +24,8 @@ _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 # On faces: factor on the jackknife's variance, and the deviation of a wall's place, in cells.
 _SHARED, _CELL = number("faces.shared"), number("faces.cell")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
-_FROM_CELLS = number("refine.from_cells")
+FROM_CELLS: tuple[float, ...] = number("refine.from_cells")
+"""Widths of the kernel that takes a pose from the centre of a cell to where it fits, metres."""
 MODES: int = number("pipeline.modes")
 """Least number of poses to look for, so that no verdict depends on the length of the list."""
 # Nats for a map that explains e times as many pieces of a scan: per logarithm of e.
@@ -153,7 +154,7 @@ def stand_on_faces(
 
 
 def evidence_with(features: MapFeatures, found: Modes, options: Options, at: int = 0) -> Evidence:
-    """How well the mode `at` fits, with the error that the search has found beyond a known one."""
+    """The fit of the mode `at`, with the error that the search has found beyond a known one."""
     shared, cell = found.shared, features.grid.resolution
     there, known = features.thinner(shared.thinner), replace(options, shared=shared)
     fit = evidence_of(there, found.readings, found.scores, known, found.floor, at)
@@ -171,7 +172,7 @@ def evidence_of(
     floor: Floor | None = None,
     at: int | None = None,
 ) -> Evidence:
-    """How well the best of some poses, or that `at` an index, fits by some readings.
+    """The fit of the best of some poses, or of that `at` an index, by some readings.
 
     A `floor` was left out of these.
     """
@@ -213,5 +214,5 @@ def settle(
     A stack's pose is the centre of a cell. Trust is judged at the place where it settles.
     """
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
-    poses = refine(poses, readings.xy, features.field, sigmas=_FROM_CELLS)
+    poses = refine(poses, readings.xy, features.field, sigmas=FROM_CELLS)
     return poses, readings, score_poses(features, readings, poses, options.model)

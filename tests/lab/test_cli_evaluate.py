@@ -206,9 +206,7 @@ def test_real_data(shared: Path) -> None:
     assert row["outside"] == 0
 
 
-def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(
-    tmp_path: Path,
-) -> None:
+def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(tmp_path: Path) -> None:
     scans, half, away = (tmp_path / f"{name}.npz" for name in ("scans", "half", "away"))
     words = ("--rays", 180, "--fov-deg", 360, "--out", scans)
     assert call("simulate", CURVED, "-n", 2, "--seed", 5, *words).code == 0

@@ -130,9 +130,7 @@ def test_as_many_workers_as_there_is_work_for(folder: Path) -> None:
     assert "in each of 2 processes" in run.err
 
 
-def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
-    folder: Path,
-) -> None:
+def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(folder: Path) -> None:
     low = [*CALIBRATE[:2], "--method", "ght,beam", *CALIBRATE[4:], 1]
     run = call(*words(low, folder), "--memory-budget", "85M", "-v")
     run.ends(2, "ght on", "beam on 130 x 160 cells of 0.1 m", out="")

@@ -113,8 +113,8 @@ def test_a_pose_outside_free_space_costs_the_floor(method: str, scans: ScanSet) 
     assert [t.free for t in found] == [t.calibrated for t in found] == [0, 0]
     assert found[1].box == 0
     assert not any(t.near for t in found)
-    summary = summarise(found, method, floor=0.01)
-    assert summary.index.value == pytest.approx(np.log(0.01))
+    summary = summarise(found, method)
+    assert summary.index.value == pytest.approx(np.log(0.001))
     assert (summary.index.floored, summary.outside) == (2, 2)
 
 

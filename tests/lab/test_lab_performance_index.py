@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.lab.evaluation import share
 from imgloc.lab.performance_index import (
@@ -28,8 +27,8 @@ def test_s_by_hand() -> None:
     # N = 12 poses: 6 * 12 / 20 and 2 * 12 / 20
     p = [density_in_stack(STACK, cell) for cell in ((1, 1, 1), (0, 0, 2))]
     assert p == pytest.approx([3.6, 1.2])
-    S = performance_index(p, floor=1e-9)
-    a, b = np.log(3.6), np.log(1.2)
+    S = performance_index(p)
+    a, b = np.log(0.999 * 3.6 + 0.001), np.log(0.999 * 1.2 + 0.001)
     assert S.value == pytest.approx((a + b) / 2)
     assert S.standard_error == pytest.approx(abs(a - b) / 2)  # sd |a-b|/sqrt(2), over sqrt(2)
     assert (S.trials, S.floored) == (2, 0)
@@ -63,19 +62,19 @@ def test_negative_values_count_as_zero_and_logarithms_as_what_they_are() -> None
 def test_a_stack_that_says_nothing_is_uniform() -> None:
     assert density_in_stack(np.zeros((3, 2, 2), np.float32), (1, 0, 1)) == 1
     assert density_in_stack(np.zeros((3, 2, 2), np.float32), (1, 0, 1), log=True) == 1
-    S = performance_index([1.0, 1.0], floor=0.1)
-    assert (S.value, S.standard_error, S.floored) == (0, 0, 0)
+    S = performance_index([1.0, 1.0])
+    assert (S.value, S.standard_error, S.floored) == (pytest.approx(0), 0, 0)
 
 
 def test_all_in_the_right_cell_is_log_n() -> None:
     one = np.zeros((5, 4, 3), np.float32)
     one[2, 3, 1] = 7
     p = density_in_stack(one, (2, 3, 1))
-    assert performance_index([p], 1e-12).value == pytest.approx(np.log(60))
+    assert performance_index([p]).value == pytest.approx(np.log(60), abs=0.001)
 
 
 def test_zeros_are_floored_and_counted() -> None:
-    S = performance_index([0.0, 1e-4, 1e-3, 2.0], floor=1e-3)
+    S = performance_index([0.0, 1e-4, 1e-3, 2.0])
     assert S.floored == 2
     logs = np.log(np.array([1e-3, 1.0999e-3, 1.999e-3, 1.999]))
     assert S.value == pytest.approx(logs.mean(), rel=1e-6)
@@ -84,20 +83,14 @@ def test_zeros_are_floored_and_counted() -> None:
 
 def test_the_floored_density_still_sums_to_one() -> None:
     p = np.array([density_in_stack(STACK, c) for c in np.ndindex(STACK.shape)])
-    floored = np.exp([performance_index([x], floor=0.2).value for x in p])
+    floored = np.exp([performance_index([x]).value for x in p])
     assert floored.mean() == pytest.approx(1)
-    assert floored.min() == pytest.approx(0.2)
+    assert floored.min() == pytest.approx(0.001)
 
 
-def test_what_makes_no_index_is_refused_or_nan() -> None:
+def test_what_makes_no_index_is_nan() -> None:
     assert np.isnan(performance_index([]).value)
     assert np.isnan(performance_index([2.0]).standard_error)
-    for floor in (0.0, 1.0, np.nan):
-        with pytest.raises(ConfigError, match="floor"):
-            performance_index([1.0], floor)
-    for bad in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match="densities"):
-            performance_index([bad])
 
 
 def test_the_first_of_equal_maxima() -> None:

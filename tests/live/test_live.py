@@ -393,7 +393,7 @@ def test_what_is_cancelled_or_late_leaves_the_line(core: Localizer, scans: list[
         assert caught.value.why == "late"
         assert core.waiting == 0
     assert core.dropped - before == 2
-    assert not core._line._counts.keys() & {Key("localize", None)}
+    assert not core._line.counts.keys() & {Key("localize", None)}
 
 
 def test_threads_get_their_own_answers_and_every_scan_is_answered_or_dropped() -> None:

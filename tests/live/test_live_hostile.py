@@ -308,9 +308,7 @@ def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], said: str)
     assert str(refused.value).startswith(f"Settings.{said}")
 
 
-def test_each_parameter_has_the_text_the_limits_and_the_default_of_its_option(
-    heard: Heard,
-) -> None:
+def test_each_parameter_has_the_text_the_limits_and_the_default_of_its_option(heard: Heard) -> None:
     settings = with_parameters(heard.ros, heard.rclpy, Settings())
     assert settings == Settings()
     for one in declared(Settings):

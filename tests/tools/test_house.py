@@ -14,7 +14,6 @@ DOORS = [
     "aging_hint",
     "survey_part",
     "GridFilter",
-    "GridOptions",
     "ParticleFilter",
     "ParticleOptions",
 ]

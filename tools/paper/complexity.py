@@ -307,7 +307,7 @@ def _beam(c: _Case) -> _Recipe:
 
     return _Recipe(
         lambda: (ray_distances(c.grid.occupied, cell, len(c.thetas), _HORIZON),),
-        lambda a, _: beam(a[0], c.ranges, c.angles, valid, ~valid, c.thetas),
+        lambda a, _: beam(a[0], c.ranges, c.angles, valid, c.thetas),
         count,
     )
 

@@ -23,7 +23,7 @@ def atlas(
     map_path: opt.MapPath,
     out: Path = option(..., "Picture that is written.", metavar="PNG"),
     sensor: Sensor,
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     csv: Path | None = option(
         None, "Write a row for each pose into this file, too.", metavar="CSV"
     ),

@@ -56,7 +56,7 @@ def calibrate(
     logs: Annotated[Logs, Only("topic", "scale")],
     chosen: Chosen,
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     taken: opt.Resources,
     scans: list[Path] | None = option(
         None,

@@ -28,7 +28,7 @@ def changes(
         "the same name with .png.",
         metavar="YAML",
     ),
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     logs: Logs,
     chosen: Chosen,
     mounting: Mounting,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Given, Without
+from imgloc.cli.command import Given, Only, Without
 from imgloc.cli.console import LOG, emit, progress, say, width
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.io.files import display, is_there, map_name
@@ -14,16 +14,14 @@ from imgloc.options import (
     TOLERANCES,
     Cell,
     Chosen,
-    Factor,
     Logs,
     Mounting,
     Reach,
     Seed,
     Sensor,
-    Tolerance,
 )
 from imgloc.ranges import Within, option
-from imgloc.texts import metres_degrees, names
+from imgloc.texts import names
 
 if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
@@ -51,8 +49,9 @@ def evaluate(
     ),
     sensor: Annotated[Sensor, Without("range_max", "mount")],
     mounting: Mounting,
-    reading: opt.MapFrame,
+    reading: opt.MapSize,
     chosen: Chosen,
+    logs: Annotated[Logs, Only("scale")],
     taken: opt.Resources,
     method: tuple[str, ...] = option(
         ALL_METHODS,
@@ -70,16 +69,7 @@ def evaluate(
         "Recorded scans with poses, instead of simulated ones; once for each map.",
         metavar="FILE",
     ),
-    range_scale: Factor = option(
-        1.0, "Metres that 1 stands for in the ranges of recorded scans: 0.001 for millimetres."
-    ),
-    tolerance: list[Tolerance] | None = option(
-        None,
-        "Distance in metres and turn in degrees from the true pose up to which an answer is a "
-        "hit, beside the usual ones. May be repeated; the last one decides what is wrong.",
-        metavar="M,DEG",
-        parse=lambda text: Tolerance(*metres_degrees(text)),
-    ),
+    tolerance: opt.ToleranceOf = TOLERANCES[-1],
     theta_step: opt.StepOf | None = None,
     cell: Cell = 0.1,
     as_json: opt.AsJson = False,
@@ -110,7 +100,7 @@ def evaluate(
     laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
     if scans is None:
         sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
-    recorded = Logs(scale=range_scale, range_max=range_max)
+    recorded = replace(logs, range_max=range_max)
     how = inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped))
     table, notes = list[dict[str, Any]](), list[str]()
     with warned(also_printed=True) as said:
@@ -140,14 +130,16 @@ def evaluate(
                 with progress(f"{name}: {known.method}", len(trials), lines=False) as advance:
                     found = evaluation.evaluate(
                         features, trials, known,
-                        tolerances=(*TOLERANCES, *(tolerance or ())), advance=advance,
+                        tolerances=tuple(dict.fromkeys((*TOLERANCES, tolerance))),
+                        advance=advance,
                     )  # fmt: skip
                 LOG.info("%s: %s: S %.2f", name, known.method, found.summary.index.value)
                 rows.append(found.as_row(name, {"map": display(path), **source}))
                 if as_json:
                     emit(to_json(rows[-1]))
             table += rows
-            if file is not None and not any(map(_works, rows)):
+            works = (row["success"][-1]["at_1"]["value"] >= 0.5 for row in rows)
+            if file is not None and not any(works):
                 notes += _doubts(inputs.item_of(path, file), read, how, cell, desk)
     if not as_json:
         emit(evaluation_tables(table, width()))
@@ -212,8 +204,3 @@ def _map_of(path: Path) -> Path:
     if not is_there(found):
         raise MapError(f"{display(path)}: no such file")
     return found
-
-
-def _works(row: dict[str, Any]) -> bool:
-    """Return whether a method finds most of the poses."""
-    return bool(row["success"][-1]["at_1"]["value"] >= 0.5)
