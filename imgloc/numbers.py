@@ -31,7 +31,7 @@ _FACTOR = Annotated[float, Within(1e-6, 1e6, "")]
 UNITS: Mapping[str, Any] = {
     **dict.fromkeys(
         ("blocks", "cells", "components", "directions", "grey levels", "headings", "hypotheses",
-         "level", "maps", "nodes", "places", "poses", "readings", "scans", "searches"), _WHOLE,
+         "maps", "nodes", "places", "poses", "readings", "scans", "searches"), _WHOLE,
     ),
     **dict.fromkeys(("share", "probability"), _SHARE),
     **dict.fromkeys(
