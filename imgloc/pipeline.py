@@ -317,17 +317,18 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     def lacks(found: Modes) -> float:
         return options.model.best - options.shared.usual - found.mean_score
 
-    found = find(options.shared)
     # With furniture that may be gone any scale would fit somewhere.
-    if not found.complete or not len(found.poses) or features.furnished is not None:
+    adapts = features.furnished is None and fused.strained < np.inf
+    # Where walls may be bent, parts of the scan propose once it is known whether they are.
+    drawn = adapts and drawn_walls(features, np.inf, options.shared) != options.shared
+    found = find(options.shared, more=np.empty((0, 3)) if drawn else None)
+    if not (adapts and found.complete and len(found.poses)):
         return found
     try:
-        if lacks(found) > fused.strained:
+        if drawn and lacks(found) > fused.strained:
             gain = drawn_gain(features, found.readings, found.places, options)
-            walls = drawn_walls(features, gain, options.shared)
-            if walls != options.shared:
-                options = replace(options, shared=walls)
-                found = again(walls, more=found.places)
+            options = replace(options, shared=drawn_walls(features, gain, options.shared))
+            found = again(options.shared)
         for floor in floors(scan) if lacks(found) > fused.strained else ():
             if left_out(scan, floor).directions >= options.trust.readings:
                 without = again(options.shared, floor, more=np.empty((0, 3)))

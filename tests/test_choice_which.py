@@ -105,7 +105,7 @@ def test_more_maps_are_searched_while_the_best_three_change(monkeypatch) -> None
             return choosing.nullcontext((name, None))
 
         bounds = {name: -float(name) for name in names}  # best first
-        (fits,) = search([None], [bounds], opened)  # type: ignore[list-item]
+        (fits,) = search([None], names, lambda _: bounds, opened)  # type: ignore[list-item]
         assert list(fits) == names[: len(fits)]
         return len(fits)
 
@@ -114,6 +114,21 @@ def test_more_maps_are_searched_while_the_best_three_change(monkeypatch) -> None
     assert run([*falling[: FIRST - 1], 150.0, *falling[FIRST:]]) == FIRST + choosing.NEXT
     assert run(falling[::-1]) == MOST
     assert run([0.0] * 5) == 5
+
+
+def test_of_maps_that_are_all_searched_no_bound_is_asked_for(monkeypatch) -> None:
+    known = answers({f"{k:02d}": 100.0 - k for k in range(FIRST + 2)})
+    monkeypatch.setattr(choosing, "fit", lambda features, scan, options: known[features])
+    asked: list[None] = []
+
+    def bounds(scan: None) -> dict[str, float]:
+        asked.append(scan)
+        return {name: -float(name) for name in known}
+
+    for count, of_bounds in ((FIRST + 1, 0), (FIRST + 2, 1)):
+        names = list(known)[:count]
+        (fits,) = search([None], names, bounds, lambda name: choosing.nullcontext((name, None)))  # type: ignore[list-item,arg-type]
+        assert (len(fits), len(asked)) == (FIRST + 1 - of_bounds, of_bounds)
 
 
 def test_a_map_that_cannot_be_opened_is_made_up_for(monkeypatch) -> None:
@@ -125,7 +140,8 @@ def test_a_map_that_cannot_be_opened_is_made_up_for(monkeypatch) -> None:
         asked.append(name)
         return choosing.nullcontext(None if name == "03" else (name, None))
 
-    (fits,) = search([None], [{name: -float(name) for name in known}], opened)  # type: ignore[list-item]
+    bounds = {name: -float(name) for name in known}
+    (fits,) = search([None], known, lambda _: bounds, opened)  # type: ignore[list-item]
     assert "03" not in fits
     assert len(fits) == FIRST
     assert asked.count("03") == 1

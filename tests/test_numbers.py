@@ -112,7 +112,7 @@ def test_numbers_are_in_si_units() -> None:
 
 WHOLE = (
     "blocks", "cells", "components", "directions", "headings", "hypotheses", "grey levels",
-    "level", "maps", "nodes", "places", "poses", "readings", "scans", "searches",
+    "maps", "nodes", "places", "poses", "readings", "scans", "searches",
 )  # fmt: skip
 SHARES, SIZES = ("share", "probability"), (
     "metres", "seconds", "metres and seconds", "square metres", "variance", "deviations",

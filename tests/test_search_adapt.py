@@ -290,7 +290,7 @@ def test_time_is_that_of_all_searches(monkeypatch):
     assert answer.verdict != "unique"
 
 
-def test_a_search_with_another_error_asks_no_parts_again(monkeypatch):
+def test_parts_are_asked_once_it_is_known_whether_walls_are_bent_and_not_again(monkeypatch):
     scan, asked = world()[1].scans[0], []
     found = pipeline.find_modes
 
@@ -302,8 +302,8 @@ def test_a_search_with_another_error_asks_no_parts_again(monkeypatch):
     answer = localize(thick_features(), scan)
     assert answer.evidence.thinner > 0
     walls, whole = zip(*asked, strict=True)
-    assert walls[0] > walls[1]
-    assert whole[:2] == (True, False)
+    assert walls[0] == walls[1] > walls[2]
+    assert whole[:3] == (False, True, False)
     asked.clear()
     assert localize(features(), scan.scaled(0.95)).evidence.scale != 1
     assert [again[1] for again in asked] == [True] + [False] * (len(asked) - 1)

@@ -15,7 +15,7 @@ leading three. This is branch and bound over the folder, with a bound that holds
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,11 +130,12 @@ def which(
     """
     expect(maps, Mapping, "maps")
     options = options or OPTIONS
-    bounds = dict.fromkeys(maps, 0.0)
-    if len(maps) > FIRST:
-        index = index_of(maps)
-        bounds = dict(zip(maps, index.bounds(scan, options).tolist(), strict=True))
-    (fits,) = search([scan], [bounds], lambda name: nullcontext((maps[name], options)))
+    index = index_of(maps)
+
+    def bounds(scan: LaserScan) -> dict[str, float]:
+        return dict(zip(maps, index.bounds(scan, options).tolist(), strict=True))
+
+    (fits,) = search([scan], maps, bounds, lambda name: nullcontext((maps[name], options)))
     return choose(fits, ruled_out=len(maps) - len(fits))
 
 
@@ -168,7 +169,8 @@ def fit(features: MapFeatures, scan: LaserScan, options: Options = OPTIONS) -> L
 
 def search(
     scans: Sequence[LaserScan],
-    bounds: Sequence[Mapping[str, float]],
+    names: Collection[str],
+    bounds: Callable[[LaserScan], Mapping[str, float]],
     open_map: Callable[[str], AbstractContextManager[Opened | None]],
     advance: Callable[[], object] = lambda: None,
 ) -> list[dict[str, Localization]]:
@@ -177,8 +179,11 @@ def search(
     Parameters
     ----------
     scans : sequence of LaserScan
-    bounds : sequence of mappings of str to float
-        For each scan the bound of each map by its name, from :func:`bounds_of`.
+    names : collection of str
+        The maps, by their names.
+    bounds : callable
+        Returns the bound of each map by its name for a scan, as :func:`bounds_of`. It is not called
+        if there are so few maps that all of them are searched.
     open_map : callable
         Takes the name of a map, and returns the map with the options for it; None if the map cannot
         be used. One map at a time is open, for all scans that need it.
@@ -190,7 +195,8 @@ def search(
     list of dict of str to Localization
         For each scan its answer in each map that was searched, best bounds first.
     """
-    usable = [dict(of) for of in bounds]
+    few = at_first(len(names)) == len(names)
+    usable = [dict.fromkeys(names, 1.0) if few else dict(bounds(scan)) for scan in scans]
     found: list[dict[str, Localization]] = [{} for _ in scans]
     while True:
         asked: dict[str, list[int]] = {}
@@ -218,8 +224,18 @@ def best_first(bounds: Mapping[str, float]) -> list[str]:
 def next_maps(bounds: Mapping[str, float], fits: Mapping[str, Localization]) -> list[str]:
     """Names of the maps to search next, besides those of `fits`; none if these are enough."""
     order = best_first(bounds)
-    more = _more([fits[name] for name in order if name in fits])
-    return [name for name in order if name not in fits][:more]
+    rest = [name for name in order if name not in fits]
+    if at_first(len(order)) == len(order):
+        return rest
+    return rest[: _more([fits[name] for name in order if name in fits])]
+
+
+def at_first(count: int) -> int:
+    """Number of maps, of so many, that are searched before they are compared.
+
+    Where one map is left its search takes no longer than the bounds of all: it is not left out.
+    """
+    return count if count <= FIRST + 1 else FIRST
 
 
 def _more(fits: Sequence[Localization]) -> int:

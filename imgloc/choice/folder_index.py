@@ -1,5 +1,8 @@
 """The index of a folder: coarse levels of its maps in one file, so that `which` opens few maps.
 
+The level of a map is the one that a search of it begins with: its cells are four times as large as
+those of the poses, or eight times on a large map.
+
 An entry of a map is valid while the contents of its files are the same. The times and sizes of the
 files are compared first. If these differ, the contents are compared.
 """
@@ -33,8 +36,6 @@ from imgloc.numbers import number
 from imgloc.options import Options
 
 LOG = logging.getLogger("imgloc")
-LEVEL = number("folder_index.level")
-"""Level of the pyramid in the index: its cells are four times as large as those of the poses."""
 # Readings of a scan: many, because a map that is dropped here is not looked at again.
 _READINGS = number("folder_index.readings")
 _FORMAT = "imgloc index of maps, 2"
@@ -77,7 +78,7 @@ class MapIndex:
 
 def index_of(maps: Mapping[str, MapFeatures]) -> MapIndex:
     """Make the index of prepared maps."""
-    levels = tuple(features.pyramid[LEVEL] for features in maps.values())
+    levels = tuple(features.pyramid[-1] for features in maps.values())
     turns = tuple(features.grid.origin.theta for features in maps.values())
     return MapIndex(tuple(maps), levels, turns)
 
@@ -131,7 +132,7 @@ def open_index(
         try:
             if entry is None:
                 features = prepare(path)
-                entry = features.pyramid[LEVEL], features.grid.origin.theta
+                entry = features.pyramid[-1], features.grid.origin.theta
                 del features
             cells += entry[0].image.size
             what = f"the index of {len(names) + 1:,} maps"

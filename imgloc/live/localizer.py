@@ -20,6 +20,7 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as Late
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
@@ -534,7 +535,8 @@ class Localizer:
             OPTIONS, threads=self.options.threads, memory_budget=self.options.memory_budget
         )
         scales = [_site(entries[name]).shared.scale for name in index.names]
-        bounds = bounds_at(index, scales, scan, replace(base, prior=Prior(None, known.heading)))
+        coarse = replace(base, prior=Prior(None, known.heading))
+        bounds = partial(bounds_at, index, scales, options=coarse)
 
         @contextmanager
         def open_map(name: str) -> Iterator[Opened | None]:
@@ -543,7 +545,7 @@ class Localizer:
             how = site.options(replace(base, prior=prior))
             yield None if leaves_none(prior, site.features) else (site.features, how)
 
-        (fits,) = search([scan], [bounds], open_map)
+        (fits,) = search([scan], index.names, bounds, open_map)
         if not fits:
             raise ConfigError("`clearance`: no map has a free place so far from its walls")
         ruled_out = len(index.names) - len(fits)

@@ -4,12 +4,13 @@ import contextlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from imgloc.answers.causes import Cause, cause
 from imgloc.answers.diagnose import doubts
-from imgloc.choice.choose import FIRST, OPTIONS, Choice, Opened, bounds_of, choose, search
+from imgloc.choice.choose import OPTIONS, Choice, Opened, at_first, bounds_of, choose, search
 from imgloc.choice.folder_index import MapIndex, open_index
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
@@ -142,10 +143,10 @@ class Choosing:
             return
         scans = self.taken.scans.scans
         coarse = replace(self.options, prior=Prior(None, self.job.known.heading))
-        bounds = [bounds_of(self.index, self.files, scan, coarse) for scan in scans]
-        steps = len(scans) * min(FIRST, len(self.files))
+        bounds = partial(bounds_of, self.index, self.files, options=coarse)
+        steps = len(scans) * at_first(len(self.index.names))
         with self.desk.progress("which", steps, lines=False) as advance:
-            fits = search(scans, bounds, self._opened, advance)
+            fits = search(scans, self.index.names, bounds, self._opened, advance)
         self.check()
         if not all(fits):
             raise ConfigError("`clearance`: no map has a place in which the robot can be")

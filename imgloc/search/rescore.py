@@ -117,7 +117,7 @@ def score_poses(
     scale of the readings, a factor.
     """
     order, parts, goes_on = pieces(readings.ranges, readings.angles)
-    log_likelihood, told, distance, shifted = _told(features, readings, poses, model)
+    log_likelihood, told, distance, shifted, silence = _told(features, readings, poses, model)
     if not model.bent:
         displaced = replace(model, bent=_DISPLACED)
         bent = _bent_pieces(distance[:, order], parts, displaced, shifted[:, order])
@@ -127,12 +127,9 @@ def score_poses(
     crossing, some = _sums(crossed[:, order], parts), sizes >= _RUN[0]
     fits = some & (told > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
-    # On bent walls all pieces are displaced or gone already.
-    things = log_likelihood if model.bent else by_things(told, own, goes_on)
-    silent = silence(features, readings, poses, model)
-    things = things + silent
+    things = _whole(log_likelihood, told, own, goes_on, silence, model)
     return Scores(
-        log_likelihood, things, silent, fits, some & (told < own), passing, on_surface, crossed
+        log_likelihood, things, silence, fits, some & (told < own), passing, on_surface, crossed
     )
 
 
@@ -162,54 +159,48 @@ def score_things(
 ) -> FloatArray:
     """Log-likelihoods (C,) by things, nats, but no piece of wall is displaced: for a first look."""
     _, parts, goes_on = pieces(readings.ranges, readings.angles)
-    total, told, _, _ = _told(features, readings, poses, model)
+    total, told, _, _, silence = _told(features, readings, poses, model)
     own = things_of_their_own(parts, len(readings), model)
-    score = total if model.bent else by_things(told, own, goes_on)
-    return score + silence(features, readings, poses, model)
-
-
-def silence(
-    features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
-) -> FloatArray:
-    """Log-probability (C,) of the pieces of rays that met nothing, nats."""
-    if (silent := readings.silent) is None or not len(silent):
-        return np.zeros(len(poses))
-    order, parts, _ = pieces(silent.ranges, silent.angles)
-    stands = _stands(_shifted(features, silent, poses, model), model)
-    told = _sums(np.log(stands)[:, order], parts)
-    return np.asarray(np.logaddexp(told, -_PRICE).sum(axis=1))
+    return _whole(total, told, own, goes_on, silence, model)
 
 
 def score_readings(
     features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> FloatArray:
     """Log-likelihoods (C,) of :func:`score_poses`, nats, without the things."""
-    return _told(features, readings, poses, model)[0]
+    return _told(features, replace(readings, silent=None), poses, model)[0]
 
 
 def _told(
     features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
-) -> tuple[FloatArray, FloatArray, Float32Array, Float32Array]:
+) -> tuple[FloatArray, FloatArray, Float32Array, Float32Array, FloatArray]:
     """Log-densities (C,) of all readings and (C, P) of each piece, nats.
 
     Then the distances (C, N) of the endpoints from a surface, metres, and the chance (C, N) that
     the wall that a reading passes is displaced: with what is movable where a piece fits better so.
+    Last the log-probability (C,) of the pieces of rays that met nothing, on the bare map.
     """
     order, parts, _ = pieces(readings.ranges, readings.angles)
     density, distance = _endpoint_density(features, readings, poses, model)
-    shifted = _shifted(features, readings, poses, model)
+    shifted, unmet = _shifted(features, readings, poses, model)
     if model.bent:
         told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
     else:
         told = _sums(np.log(density * _stands(shifted, model))[:, order], parts)
     if features.furnished is not None:
-        _, other, far, beyond = _told(features.furnished, readings, poses, model)
+        seen = replace(readings, silent=None)
+        _, other, far, beyond, _ = _told(features.furnished, seen, poses, model)
         rather = np.empty(distance.shape, np.bool_)
         rather[:, order] = np.repeat(other > told, _sizes(parts, len(order)), axis=1)
         distance, shifted = np.where(rather, far, distance), np.where(rather, beyond, shifted)
         told = np.logaddexp(told, other) - np.log(2)
     total = told @ _counts(parts, len(order), model) if model.bent else told.sum(axis=1)
-    return np.asarray(total), told, distance, shifted
+    silence = np.zeros(len(poses))
+    if readings.silent:
+        order, parts, _ = pieces(readings.silent.ranges, readings.silent.angles)
+        through = _sums(np.log(_stands(unmet, model))[:, order], parts)
+        silence = np.logaddexp(through, -_PRICE).sum(axis=1)
+    return np.asarray(total), told, distance, shifted, silence
 
 
 def by_things(told: FloatArray, own: FloatArray, goes_on: BoolArray) -> FloatArray:
@@ -230,6 +221,15 @@ def by_things(told: FloatArray, own: FloatArray, goes_on: BoolArray) -> FloatArr
         follows = np.logaddexp(either, thing + _PRICE) if goes_on[k] else either
         mapped, thing = either + told[:, k], follows + own[k]
     return np.asarray(np.logaddexp(mapped, thing))
+
+
+def _whole(
+    total: FloatArray, told: FloatArray, own: FloatArray, goes_on: BoolArray, silence: FloatArray,
+    model: EvidenceModel,
+) -> FloatArray:  # fmt: skip
+    """Log-likelihood (C,) of scans by things, and by rays that met nothing, nats."""
+    # On bent walls all pieces are displaced or gone already.
+    return silence + (total if model.bent else by_things(told, own, goes_on))
 
 
 def things_of_their_own(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:
@@ -255,10 +255,14 @@ def _counts(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:
 
 def _shifted(
     features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
-) -> Float32Array:
-    """Chance that the wall that a reading passes is displaced; 1 before a wall, (C, N)."""
-    ranges, angles, resolution = readings.ranges, readings.angles, features.field.resolution
-    margin = model.margin + resolution / 2
+) -> list[Float32Array]:
+    """Chance that the wall that a reading passes is displaced; 1 before a wall, (C, N).
+
+    Then the same for the rays that met nothing. One call casts both: it takes as long for more.
+    """
+    both = [readings, readings.silent] if readings.silent else [readings]
+    ranges, angles = (np.hstack([getattr(one, of) for one in both]) for of in ("ranges", "angles"))
+    resolution, margin = features.field.resolution, model.margin + features.field.resolution / 2
     far = ranges * poses[:, 3:] if poses.shape[1] == 4 else ranges
     reach = np.maximum(far - margin, 1e-3)
     c, s = (turn(poses[:, 2:3]).astype(np.float32) for turn in (np.cos, np.sin))
@@ -266,7 +270,8 @@ def _shifted(
     along = c * u - s * v, s * u + c * v
     seen = cast_along(features.walls, poses[:, None, :2], *along, reach, resolution)
     beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
-    return np.asarray(np.exp(-np.square(beyond / np.float32(model.displaced))))
+    shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
+    return np.split(shifted, [len(readings)], axis=1)
 
 
 def _stands(shifted: Float32Array, model: EvidenceModel) -> Float32Array:

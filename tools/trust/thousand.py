@@ -8,13 +8,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from imgloc import ConfigError, Sensor, load_map, prepare, save_map, simulate
-from imgloc.choice.choose import NO_MAP, OPTIONS, Choice, choose, fit, search
+from imgloc.choice.choose import NO_MAP, OPTIONS, Choice, bounds_of, choose, fit, search
 from imgloc.choice.folder_index import open_index
 from imgloc.io.folders import find_maps
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
@@ -182,10 +183,8 @@ def ask_thousand(
 def ask(files: Mapping[str, Path], scan: LaserScan, index: Path) -> Choice:
     """What `imgloc which` answers on one thread, without its cache of prepared maps."""
     kept, _ = open_index(files, lambda path: prepare(load_map(path)), about="", file=index)
-    bounds = dict(zip(kept.names, kept.bounds(scan, OPTIONS).tolist(), strict=True))
     (fits,) = search(
-        [scan],
-        [bounds],
+        [scan], kept.names, partial(bounds_of, kept, files, options=OPTIONS),
         lambda name: nullcontext((prepare(load_map(files[name]), ready=False), OPTIONS)),
-    )
+    )  # fmt: skip
     return choose(fits, ruled_out=len(kept.names) - len(fits))
