@@ -283,6 +283,11 @@ def test_a_mosaic_has_every_picture():
         assert rows.min() == (0 if colour != colours[2] else 38)
 
 
+def test_an_empty_mosaic_is_refused():
+    with pytest.raises(ValueError, match="at least one"):
+        mosaic([])
+
+
 def test_drawing_leaves_its_inputs_alone_and_gives_the_same_bytes():
     grid, points, one = room(), np.ones((3, 2)), [hypothesis(2, 2, 1)]
     first, again = (draw_hypotheses(grid, points, one, truth=Pose2D(1, 1, 0)).image for _ in "ab")

@@ -155,13 +155,16 @@ def decode_image(
 def encode_png(image: npt.NDArray[np.generic]) -> bytes:
     r"""Encode a picture, (H, W) or (H, W, 3) uint8, top row first, grey or BGR, as PNG in memory.
 
-    OutputError if OpenCV cannot.
+    ValueError for another shape or type, OutputError if OpenCV cannot.
 
     Examples
     --------
     >>> encode_png(np.zeros((2, 3), np.uint8))[:4]
     b'\x89PNG'
     """
+    shaped = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+    if image.dtype != np.uint8 or not shaped or 0 in image.shape:
+        raise ValueError(f"image {image.shape} {image.dtype} must be uint8, grey or BGR")
     try:
         ok, buffer = cv2.imencode(".png", np.ascontiguousarray(image))
     except cv2.error as e:

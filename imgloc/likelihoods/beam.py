@@ -85,13 +85,15 @@ def beam(
     >>> L.argmax(axis=2)[:, 0].tolist()
     [2, 3]
     """
+    distances = np.asarray(distances)
+    rho, phi = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
     n_psi, k = len(distances), len(thetas)
     if n_psi % k:
         raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
 
     floors = (1 - hit - short) / span, (1 - hit) / span
     beams = []
-    for r, a in zip(ranges[valid], angles[valid], strict=True):
+    for r, a in zip(rho[valid], phi[valid], strict=True):
         deviation = float(np.hypot(sigma, r * sigma_theta))
         beams.append((int(theta_bin(a, n_psi)), *_hit_table(r, deviation, hit, floors)))
 

@@ -65,15 +65,17 @@ def likelihood(
         options = Options(options)
     expect(features, MapFeatures, "features")
     if options.method not in METHODS:
-        raise ConfigError(f"method must be one of {', '.join(METHODS)}, got {options.method!r}")
+        known = ", ".join(METHODS)
+        raise ConfigError(f"method must be one of {known}, got {options.method!r}")
     thetas, lattice = options.thetas, features.lattice
     method, threads, budget = options.method, options.threads, options.memory_budget
     n, shape = len(thetas), lattice.shape
     need = stack_bytes(method, shape, n, threads=threads, n_rays=features.n_rays)
     what = f"{method} on {n} headings x {shape[0]} x {shape[1]} cells"
     check_budget(need, budget, what, "use larger cells, a larger theta step, or the method 'fused'")
+    engine = options.engine
     values = stack_of(
-        method, features, scan, thetas, engine=options.engine, threads=threads, memory_budget=budget
+        method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
     )  # fmt: skip
     values.flags.writeable = False  # nobody else has it: no need of a copy
     return Likelihood(values, thetas, lattice, method, scan)

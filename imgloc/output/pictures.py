@@ -294,8 +294,10 @@ def _under(canvas: Picture, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
 def mosaic(pictures: Sequence[Picture], columns: int | None = None) -> Picture:
     """Lay pictures of any sizes out on a white sheet, upper edges aligned.
 
-    Without `columns` the sheet is about as wide as 4 : 3.
+    Without `columns` the sheet is about as wide as 4 : 3. Without a picture it is a ValueError.
     """
+    if not pictures:
+        raise ValueError("a mosaic needs at least one picture")
     images, gap = [picture.image for picture in pictures], 8
     if columns is None:
         area = float(np.mean([i.shape[1] / i.shape[0] for i in images]))
