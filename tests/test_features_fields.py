@@ -104,3 +104,9 @@ def test_sigma_out_of_range(sigma):
         bmap(np.zeros((1, 2)), (4, 5), 0.1, sigma)
     with pytest.raises(ConfigError, match="sigma"):
         vmap(points([[0.1, 0.1]], [0.0]), (4, 5), 0.1, sigma)
+
+
+@pytest.mark.parametrize(("shape", "resolution"), [((0, 5), 0.1), ((4, 5), 0.0)])
+def test_shape_and_resolution_out_of_range(shape, resolution):
+    with pytest.raises(ConfigError, match=r"shape|resolution"):
+        bmap(np.zeros((1, 2)), shape, resolution, 0.1)

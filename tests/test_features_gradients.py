@@ -111,3 +111,9 @@ def test_features_take_it_from_either():
 def test_without_walls_there_is_no_field():
     nothing = np.zeros((5, 6), bool)
     assert not vmap_of_image(nothing, ~nothing, 0.1, 0.1).any()
+
+
+@pytest.mark.parametrize(("resolution", "sigma"), [(0.0, 0.1), (0.1, 0.0), (0.1, np.nan)])
+def test_wrong_parameters(resolution, sigma):
+    with pytest.raises(ConfigError, match="must be positive and finite"):
+        vmap_of_image(np.eye(3, dtype=bool), ~np.eye(3, dtype=bool), resolution, sigma)

@@ -201,9 +201,13 @@ def test_readings_beyond_uint16_saturate():
 @pytest.mark.parametrize(
     "kwargs",
     [
+        {"n_psi": 0},
         {"max_range": 0.0},
         {"max_range": 700.0},
         {"max_range": float("nan")},
+        {"resolution": 0.0},
+        {"occupied": np.zeros((0, 4), bool)},
+        {"occupied": np.zeros(4, bool)},
         {"occupied": np.zeros((2, 32767), bool)},
     ],
 )

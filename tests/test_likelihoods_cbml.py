@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.correlate import EXACT
@@ -87,6 +88,14 @@ def test_cbml_equals_algorithm_1(engine, shape):
     np.testing.assert_allclose(stack, exact, atol=12 * 0.5 / 255)
 
 
+@pytest.mark.parametrize("value", [-0.1, 1.1, np.nan, np.inf])
+def test_cbml_refuses_a_bmap_that_is_not_one(value):
+    bmap = np.zeros((3, 3), dtype=np.float32)
+    bmap[1, 1] = value
+    with pytest.raises(ValueError, match=r"bmap must be in 0\.\.1"):
+        cbml(bmap, np.zeros((1, 2)), ONE, 0.1)
+
+
 @every_engine
 @pytest.mark.parametrize("shape", [(6, 8), (5, 7), (1, 4)])
 def test_cbml_o_equals_algorithm_3_on_its_directions(engine, shape):
@@ -149,6 +158,8 @@ def test_projections_are_reused():
     fresh = cbml_o(vmap, points, thetas, 0.1, **how)
     again = cbml_o(vmap, points, thetas, 0.1, **how, projections=projections)
     np.testing.assert_array_equal(fresh, again)
+    with pytest.raises(ValueError, match="projections must be"):
+        cbml_o(vmap, points, thetas, 0.1, directions=64, engine="shift", projections=projections)
 
 
 @every_engine
@@ -162,6 +173,24 @@ def test_cbml_o_reused_and_threaded(engine):
     for threads in (2, 5):
         threaded = cbml_o(vmap, points, thetas, 0.1, engine=engine, threads=threads)
         np.testing.assert_array_equal(threaded, full)
+
+
+@pytest.mark.parametrize("directions", [0, 7, -2])
+def test_refuses_directions(directions):
+    vmap, points = random_case(10)
+    with pytest.raises(ConfigError, match="directions"):
+        cbml_o(vmap, points, ONE, 0.1, directions=directions)
+    with pytest.raises(ConfigError, match="directions"):
+        project(vmap, directions)
+
+
+def test_refuses_a_vmap_that_is_not_one():
+    _, points = random_case(11)
+    with pytest.raises(ValueError, match=r"\(2, H, W\)"):
+        cbml_o(np.zeros((3, 4), np.float32), points, ONE, 0.1)
+    for value in (0.75, 1.2, np.nan):  # both components: 0.75 is a length of 1.06
+        with pytest.raises(ValueError, match="length"):
+            cbml_o(np.full((2, 3, 4), value, np.float32), points, ONE, 0.1)
 
 
 @settings(max_examples=20)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods import correlate as engines
 from imgloc.likelihoods import shift
@@ -257,6 +258,37 @@ def test_refuses_an_output_that_does_not_fit(out):
     image, xy = random_case(13)
     with pytest.raises(ValueError, match="out must be"):
         correlate(image, xy, ONE, 0.1, out=out)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"engine": "fft"}, "auto, filter2d, shift, dft, remap, got 'fft'"),
+        ({"threads": 0}, "threads"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": np.nan}, "resolution"),
+    ],
+)
+def test_refuses_bad_parameters(change, words):
+    image, xy = random_case(14)
+    with pytest.raises(ConfigError, match=words):
+        correlate(**{"image": image, "xy": xy, "thetas": ONE, "resolution": 0.1, **change})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"image": np.zeros((3, 3))}, "uint8 or float32, got float64"),
+        ({"image": np.zeros((3, 3, 3), np.uint8)}, "H, W"),
+        ({"xy": np.zeros((5, 3))}, r"\(N, 2\)"),
+        ({"where": np.ones((3, 3), dtype=bool)}, "where"),
+        ({"where": np.ones((7, 10))}, "where"),
+    ],
+)
+def test_refuses_bad_arrays(change, words):
+    image, xy = random_case(15)
+    with pytest.raises(ValueError, match=words):
+        correlate(**{"image": image, "xy": xy, "thetas": ONE, "resolution": 0.1, **change})
 
 
 def test_cost_model():

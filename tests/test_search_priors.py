@@ -136,6 +136,12 @@ def test_clearance_at_a_corner_is_that_of_the_centre_less_half_a_cell():
     assert not clearance(grid, 0.92)[1, 1]
 
 
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf])
+def test_radii_that_cannot_be_meant(radius):
+    with pytest.raises(ConfigError, match="radius"):
+        near(GridInfo(3, 3, 1.0), 0, 0, radius)
+
+
 @pytest.fixture(scope="module")
 def visibility():
     grid = render(WORLDS["visibility"](), 0.1)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, transform_points
 from imgloc.io.maps import load_map
 from imgloc.model import Pose2D
@@ -102,6 +103,12 @@ def test_a_curved_world_has_normals_in_every_direction():
     strong = np.hypot(gx, gy) > 0.3
     share, _ = np.histogram(np.arctan2(gy, gx)[strong], bins=12)
     assert share.min() > 0.03 * share.sum()
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1.0, np.nan, np.inf])
+def test_resolution_must_make_sense(resolution):
+    with pytest.raises(ConfigError, match="resolution"):
+        render(WORLDS["curved"](), resolution)
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -83,15 +83,24 @@ def vmap(
     return blurred / peak if peak > 0 else blurred
 
 
-def in_levels(bmap: Float32Array) -> npt.NDArray[np.uint8]:
-    """Round a blurred map, 0..1, to its 256 levels."""
-    return np.rint(np.asarray(bmap, dtype=np.float32) * BMAP_LEVELS).astype(np.uint8)
+def in_levels(bmap: Float32Array, hint: str = "") -> npt.NDArray[np.uint8]:
+    """Round a blurred map to its 256 levels; one that leaves 0..1 is a ValueError."""
+    levels = np.asarray(bmap, dtype=np.float32) * BMAP_LEVELS
+    # One comparison that NaN fails too.
+    if levels.size and not (levels.min() >= 0 and levels.max() <= BMAP_LEVELS * (1 + 1e-6)):
+        low, high = np.min(bmap), np.max(bmap)
+        raise ValueError(f"bmap must be in 0..1, got {low:g} to {high:g}{hint}")
+    return np.rint(levels).astype(np.uint8)
 
 
 def _cells(
     xy: FloatArray, shape: tuple[int, int], resolution: float
 ) -> tuple[IntArray, IntArray, BoolArray]:
     """Row and column of the points on the grid, and which of the points those are."""
+    if min(shape) < 1:
+        raise ConfigError(f"shape must be (rows, columns), both positive, got {shape}")
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be positive and finite, got {resolution}")
     cells = cell_of(np.asarray(xy, np.float64).reshape(-1, 2), resolution)
     on_grid: BoolArray = np.all((cells >= 0) & (cells < shape), axis=1)
     return cells[on_grid, 0], cells[on_grid, 1], on_grid

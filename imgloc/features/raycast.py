@@ -49,7 +49,7 @@ def cast_rays(
     Raises
     ------
     ConfigError, ValueError
-        If a `max_range` or `resolution` is not positive and finite; if an origin is not finite.
+        If a `max_range` or `resolution` is not positive and finite; if a ray is not finite.
 
     Examples
     --------
@@ -60,6 +60,8 @@ def cast_rays(
     [0.44999998807907104, inf]
     """
     psi = np.asarray(angles, np.float64)
+    if not np.isfinite(psi).all():
+        raise ValueError("origins and angles must be finite")
     return cast_along(distance, origins, np.cos(psi), np.sin(psi), max_range, resolution)
 
 

@@ -52,6 +52,11 @@ def surface_points(
         In the grid frame, one per cell length of boundary, contour after contour; `alpha` points
         from the wall into free space.
 
+    Raises
+    ------
+    ValueError
+        If the images differ in shape or the resolution is not positive.
+
     Notes
     -----
     The polygons of :func:`outlines` are resampled to one point per cell, moved
@@ -71,6 +76,11 @@ def surface_points(
     [0.3, 0.2]
     """
     occupied, free = np.asarray(occupied, np.bool_), np.asarray(free, np.bool_)
+    if occupied.ndim != 2 or occupied.shape != free.shape:
+        raise ValueError(f"occupied {occupied.shape} and free {free.shape} must be one shape")
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ValueError(f"resolution must be positive, got {resolution}")
+
     parts = [_surface_of(occupied, free, *band) for band in _bands(occupied)]
     points, alpha, sigma = (np.concatenate(column) for column in zip(*parts, strict=True))
     return OrientedPoints(points * resolution, alpha, sigma, sigma <= max_sigma)

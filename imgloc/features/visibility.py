@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.features.raydistance import HIT, SURFACE, watertight
@@ -56,6 +57,11 @@ def visibility_frames(
         inf if there is none within the horizon; 0 a quarter turn or more from the normal, and
         for points without one.
 
+    Raises
+    ------
+    ConfigError
+        If `n_psi`, `horizon` or `by` is out of its range.
+
     Notes
     -----
     Alg. 6 stores the direction from p_i to p_j with p_j; Alg. 5 needs the opposite one, kept here.
@@ -70,6 +76,12 @@ def visibility_frames(
     >>> visibility_frames(corridor, wall, 0.1, 4, 5.0).round(2).tolist()
     [[1.0], [0.0], [0.0], [0.0]]
     """
+    if n_psi < 1:
+        raise ConfigError(f"n_psi must be at least 1, got {n_psi}")
+    if not 0 < horizon < np.inf:
+        raise ConfigError(f"horizon must be positive and finite, got {horizon}")
+    if by not in WAYS:
+        raise ConfigError(f"visibility must be by one of {', '.join(WAYS)}, got {by!r}")
     occupied = np.asarray(occupied, np.bool_)
     normal = np.column_stack((np.cos(surface.alpha), np.sin(surface.alpha)))
     off = _first_clear(occupied, surface.xy, normal, resolution)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.likelihoods.kernels import filter2d_stack, remap_stack
 from imgloc.likelihoods.shift import (
     Summable,
@@ -24,6 +25,7 @@ from imgloc.likelihoods.shift import (
 from imgloc.likelihoods.slices import (
     Stack,
     cell_offsets,
+    check_arguments,
     finishing,
     finite_points,
     frame_of,
@@ -90,8 +92,8 @@ def correlate(
 
     Raises
     ------
-    ValueError
-        If `out` does not fit, or not the sums.
+    ConfigError, ValueError
+        If `engine`, `threads` or `resolution` is out of its range; if an array does not fit.
 
     Examples
     --------
@@ -103,6 +105,11 @@ def correlate(
     >>> [tuple(map(int, pose)) for pose in np.argwhere(stack)]
     [(0, 1, 0), (1, 0, 1)]
     """
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.float32):
+        raise ValueError(
+            f"image must be (H, W) uint8 or float32, got {image.dtype} of shape {image.shape}"
+        )
+    check_arguments(resolution, threads)
     points, headings = finite_points(xy), np.asarray(thetas, dtype=np.float64)
     frame = frame_of(image != 0, len(headings), where, out)
     view, image = frame.view, image[frame.window]
@@ -167,7 +174,8 @@ def choose_engine(
     """Return `engine`, or for ``"auto"`` the cheaper one of ``shift`` and ``dft``.
 
     ``filter2d`` is never chosen, because OpenCV runs it as a DFT, too, and transforms the scan anew
-    for each tile. ``remap`` is never chosen, because it interpolates.
+    for each tile. ``remap`` is never chosen, because it interpolates. A name that is neither
+    ``"auto"`` nor in :data:`ENGINES` raises a ConfigError.
 
     `offsets` (K, N, 2) are those of the readings, in cells, and `shape` is that of the image. The
     cost of ``shift`` depends on the `tiles`, the bytes of a cell of its sums, whether
@@ -177,6 +185,8 @@ def choose_engine(
     """
     if engine in ENGINES:
         return engine
+    if engine != "auto":
+        raise ConfigError(f"engine must be one of auto, {', '.join(ENGINES)}, got {engine!r}")
     height, width = shape
     some = slice(None, None, max(1, len(offsets) // 8))  # a few headings tell
     sample = np.abs(offsets[some])

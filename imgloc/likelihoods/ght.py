@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin
-from imgloc.likelihoods.slices import output_stack
+from imgloc.likelihoods.slices import check_arguments, output_stack
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 from imgloc.threads import over_slices
 
@@ -102,8 +103,8 @@ def ght_v(
 
     Raises
     ------
-    ValueError
-        If `out` does not fit.
+    ConfigError, ValueError
+        If a number is out of its range; if an array does not fit.
 
     Examples
     --------
@@ -115,7 +116,18 @@ def ght_v(
     >>> float(ght_v(wall, pane, scan, 4, (1, 3), 1.0).sum())
     0.0
     """
-    out = output_stack(out, (n_theta, *shape))
+    check_arguments(resolution, threads)
+    lattice = (n_theta, *shape)
+    if min(lattice) < 1:
+        raise ConfigError(f"the lattice of votes must not be empty, got {lattice}")
+    if visibility is not None:
+        visibility = np.asarray(visibility, dtype=np.float32)
+        if visibility.ndim != 2 or not len(visibility) or visibility.shape[1] != len(surface):
+            raise ValueError(
+                f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
+                f"got {visibility.shape}"
+            )
+    out = output_stack(out, lattice)
     out.fill(0)
     vote(surface, visibility, points, resolution, out, once=once, threads=threads)
     return out

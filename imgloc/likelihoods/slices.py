@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, FloatArray, IntArray
 
 #: A stack (K, H, W), or a slice of one: float32, or uint8 where every sum fits a byte.
@@ -46,6 +47,14 @@ def reach_of(offsets: IntArray, shape: tuple[int, ...]) -> tuple[BoolArray, tupl
     return near, (int(reach[0]), int(reach[1]))
 
 
+def check_arguments(resolution: float, threads: int) -> None:
+    """Raise a ConfigError if the resolution is not positive and finite, or `threads` is below 1."""
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be a positive number of metres, got {resolution}")
+    if threads < 1:
+        raise ConfigError(f"threads must be at least 1, got {threads}")
+
+
 class Frame(NamedTuple):
     """The part of a stack that is to be computed."""
 
@@ -63,8 +72,8 @@ def frame_of(
 ) -> Frame:
     """Cut a stack down to the wanted poses (`where`) that can meet a `marked` cell.
 
-    Maps often have a wide unknown border. A stack that does not fit the (H, W) of `marked` raises
-    a ValueError.
+    Maps often have a wide unknown border. A mask or a stack that does not fit the (H, W) of
+    `marked` raises a ValueError.
 
     Examples
     --------
@@ -73,7 +82,9 @@ def frame_of(
     >>> frame_of(np.zeros((4, 5), dtype=bool), 1, where, None).window
     (slice(1, 2, None), slice(1, 3, None))
     """
-    height, width = marked.shape
+    height, width = shape = marked.shape
+    if where is not None and (where.shape != shape or where.dtype != np.bool_):
+        raise ValueError(f"where must be bool {shape}, got {where.dtype} {where.shape}")
     out = output_stack(out, (headings, height, width), (np.float32, np.uint8))
     if where is None:
         return Frame(out, out, (slice(0, height), slice(0, width)), None)
@@ -146,4 +157,6 @@ def finishing(
 def finite_points(xy: npt.ArrayLike) -> FloatArray:
     """Return the points of (N, 2) that are finite, because a lost reading casts no vote."""
     points = np.asarray(xy, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"points must have shape (N, 2), got {points.shape}")
     return np.asarray(points[np.isfinite(points).all(axis=1)])

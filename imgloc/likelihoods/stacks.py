@@ -1,5 +1,6 @@
 """The stack of a method by its name."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from imgloc.errors import ConfigError, expect
@@ -64,9 +65,7 @@ def likelihood(
     if isinstance(options, str):
         options = Options(options)
     expect(features, MapFeatures, "features")
-    if options.method not in METHODS:
-        known = ", ".join(METHODS)
-        raise ConfigError(f"method must be one of {known}, got {options.method!r}")
+    check_method(options.method, tuple(METHODS))
     thetas, lattice = options.thetas, features.lattice
     method, threads, budget = options.method, options.threads, options.memory_budget
     n, shape = len(thetas), lattice.shape
@@ -106,6 +105,12 @@ def check_stack(
         raise ConfigError(f"stack: got one of another scan, {stack.scan!r}, expected {scan!r}")
 
 
+def check_method(name: str, known: Sequence[str]) -> None:
+    """Raise a ConfigError that names the `known` methods if `name` is none of them."""
+    if name not in known:
+        raise ConfigError(f"method must be one of {', '.join(known)}, got {name!r}")
+
+
 def stack_of(
     method: str,
     features: MapFeatures,
@@ -120,8 +125,8 @@ def stack_of(
 
     `thetas` (K,) are headings in radians, uniform over the circle from 0. `engine` computes the
     correlations: "auto", "filter2d", "shift", "dft" or "remap". The result does not depend on
-    `threads`. A ConfigError is raised if the ray distances of ``beam`` take more bytes than
-    `memory_budget`, by default that of the map.
+    `threads`. A ConfigError is raised for a method without a stack, and if the ray distances of
+    ``beam`` take more bytes than `memory_budget`, by default that of the map.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
@@ -138,4 +143,6 @@ def stack_of(
         return cbml_o(f.vmap, points, thetas, cell, engine=engine, threads=threads)
     if method == "ght":
         return ght(f.surface, points, len(thetas), shape, cell, threads=threads)
-    return ght_v(f.surface, f.visibility, points, len(thetas), shape, cell, threads=threads)
+    if method == "ght-v":
+        return ght_v(f.surface, f.visibility, points, len(thetas), shape, cell, threads=threads)
+    raise ConfigError(f"{method!r} has no stack")

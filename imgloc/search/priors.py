@@ -11,6 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
@@ -179,13 +180,16 @@ def leaves_none(prior: Prior, features: MapFeatures) -> bool:
 def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:
     """Cells (H, W) whose centre is within `radius` metres of a point in the grid frame, metres.
 
-    The cell that holds the point is always one of them.
+    The cell that holds the point is always one of them. A radius that is not positive and finite
+    raises a ConfigError.
 
     Examples
     --------
     >>> near(GridInfo(1, 4, 1.0), 0.5, 0.5, 1.0).tolist()
     [[True, True, False, False]]
     """
+    if not (np.isfinite(radius) and radius > 0):
+        raise ConfigError(f"the radius must be positive and finite, got {radius:g} m")
     columns = (np.arange(info.width) + 0.5) * info.resolution - x
     rows = (np.arange(info.height) + 0.5) * info.resolution - y
     disc = np.asarray(np.add.outer(rows**2, columns**2) <= radius**2 + 1e-9)
@@ -200,7 +204,8 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
 
     Unknown cells and the world off the map are not free, because no robot has been there. The
     distance is that between cell centres, less half a cell. It is exact for walls along the axes,
-    and at most 0.21 cells too large at a corner.
+    and at most 0.21 cells too large at a corner. A radius that is negative or not finite raises a
+    ConfigError.
 
     Examples
     --------
@@ -208,6 +213,8 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
     >>> [int(clearance(OccupancyGrid(~free, free, 1.0), radius).sum()) for radius in (0.5, 1.0)]
     [7, 0]
     """
+    if not (np.isfinite(radius) and radius >= 0):
+        raise ConfigError(f"the clearance must be finite and not negative, got {radius:g} m")
     padded = np.pad(grid.free, 1).astype(np.uint8)
     # Distances are between centres; the blocked cell itself begins half a cell nearer.
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]

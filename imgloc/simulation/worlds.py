@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import rotation, transform_points
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 
@@ -36,13 +37,15 @@ def render(world: World, resolution: float) -> OccupancyGrid:
 
     Cells wider than 1 cm are averaged from cells of about 1 cm: one is known if at least half of
     it is, and occupied if no less of it is occupied than free. `resolution` is the side of a cell
-    in metres.
+    in metres; one that is not positive and finite is a ConfigError.
 
     Examples
     --------
     >>> render(WORLDS["curved"](), 0.1).occupied.shape
     (130, 160)
     """
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be positive and finite, got {resolution}")
     width, height = (max(1, round(side / resolution)) for side in world.size)
     parts = max(1, round(resolution / 0.01))
     image = np.full((height * parts, width * parts), _UNKNOWN, dtype=np.uint8)
