@@ -136,6 +136,35 @@ def test_refuses(words: tuple[str, ...], text: str, code: int, expected: str) ->
     run.ends(code, expected, out="")
 
 
+def carmen_of(line: str) -> str:
+    """A scan of the log as CARMEN writes it: its laser sits 0.2 m before the robot's centre."""
+    row = json.loads(line)
+    x, y, theta = row["odom"]
+    laser = (x + 0.2 * np.cos(theta), y + 0.2 * np.sin(theta), theta)
+    ranges = " ".join(f"{r:.4f}" for r in row["ranges"])
+    poses = " ".join(f"{value:.6f}" for value in (*laser, *row["odom"]))
+    head = f"ROBOTLASER1 0 {-np.pi:.6f} {2 * np.pi:.6f} {np.deg2rad(3):.6f} 30 0.1 0"
+    stamp = f"{row['stamp']:.6f}"
+    return f"{head} {N_RAYS} {ranges} 0 {poses} 0 0 0 0 0 {stamp} robot {stamp}\n"
+
+
+def test_a_carmen_log_is_followed_as_it_comes(lines: list[str], tmp_path: Path) -> None:
+    log = ["# CARMEN Logfile\n", "PARAM robot_use_laser on\n", *map(carmen_of, lines)]
+    path = tmp_path / "run.log"
+    path.write_text("".join(log))
+    whole = call("track", MAP, path, "--json").ends(0)
+    assert followed("".join(log), "--json").out == whole.out
+    assert rows(whole.out)[-1]["verdict"] == "unique"
+
+
+def test_a_carmen_log_whose_laser_moves_on_the_robot_ends_it(lines: list[str]) -> None:
+    moved = carmen_of(lines[1]).split(" ")
+    moved[10 + N_RAYS] = f"{float(moved[10 + N_RAYS]) + 0.1:.6f}"
+    run = followed(carmen_of(lines[0]) + " ".join(moved), "--json")
+    assert (run.code, len(rows(run.out))) == (4, 1)
+    assert "line 2: ROBOTLASER1: the laser has moved on the robot" in run.err
+
+
 def test_ctrl_c_is_an_end_only_once_the_file_is_followed(lines: list[str], tmp_path: Path) -> None:
     """While the map is being prepared it interrupts, as it does in any command."""
     path, before = tmp_path / "log.jsonl", signal.getsignal(signal.SIGINT)

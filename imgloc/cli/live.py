@@ -77,7 +77,7 @@ def live_of(
 ) -> Live | None:
     """The scans of a source that is still being written; None for a log that is whole.
 
-    Standard input is one if it begins as JSON lines do.
+    Standard input is one if it begins as JSON lines do, or is a pipe and begins as a CARMEN log.
     """
     from imgloc.cli import inputs
     from imgloc.io import stream
@@ -95,7 +95,7 @@ def live_of(
         return None
 
     name = inputs.name_of(log)
-    read = stream.scans_of(lines, name, topic=logs.topic, max_bad=logs.max_bad)
+    read = stream.scans_of(lines, name, topic=logs.topic, fov=logs.fov, max_bad=logs.max_bad)
     return Live(read, prepared, by_scans=logs.odom == SCANS)
 
 

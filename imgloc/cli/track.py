@@ -43,7 +43,7 @@ class Outputs:
         None,
         "Write ROS messages into this file: PoseWithCovarianceStamped while the pose is unique, "
         "PoseArray while several places fit.",
-        metavar="YAML",
+        metavar="YAML|BAG",
     )
     best: bool = option(
         False,
@@ -77,7 +77,7 @@ class Outputs:
         from imgloc.cli import inputs
 
         files = (
-            (self.tum, ".tum"), (self.ros, ".yaml"), (self.picture, ".png"),
+            (self.tum, ".tum"), (self.ros, (".yaml", ".bag")), (self.picture, ".png"),
             (self.video, (".webm", ".mp4")), (self.mcap, ".mcap"),
         )  # fmt: skip
         read = [*read, *([] if self.truth is None else [self.truth])]
@@ -89,7 +89,7 @@ class Outputs:
         movie: "Video | None", recording: "Recording | None", title: str,
     ) -> None:  # fmt: skip
         """Write them; `truth` are known poses (N, 3) of the robot at the moments."""
-        from imgloc.output.ros import message, yaml_text
+        from imgloc.output.ros import message, write_bag, yaml_text
         from imgloc.output.tracks import draw_track, tum_text
 
         force = self.force
@@ -97,8 +97,11 @@ class Outputs:
             write_text_atomic(self.tum, tum_text(moments, best=self.best), force=force)
         if self.ros is not None:
             found = (message(m, grid.origin, best=self.best) for m in moments)
-            text = yaml_text(given for given in found if given is not None)
-            write_text_atomic(self.ros, text, force=force)
+            messages = [given for given in found if given is not None]
+            if self.ros.suffix.lower() == ".bag":
+                write_bag(self.ros, messages, force=force)
+            else:
+                write_text_atomic(self.ros, yaml_text(messages), force=force)
         if self.picture is not None:
             draw_track(grid, moments, truth, title).save(self.picture, force=force)
         if self.video is not None and movie is not None:
@@ -127,7 +130,9 @@ class Asked(Checked):
         "agree with its last pose, disagree, or cannot tell.",
         metavar="TUM",
     )
-    follow: bool = option(False, "Go on with a file of JSON lines that grows, until Ctrl-C.")
+    follow: bool = option(
+        False, "Go on with a file of lines that grows, .jsonl or .log, until Ctrl-C."
+    )
 
 
 def track(
@@ -136,8 +141,8 @@ def track(
     log: Path = option(
         ...,
         "Scans with odometry, in the order of time: a CARMEN .log; a ROS .bag, .mcap or .db3; "
-        ".npz or .jsonl with odom. JSON lines from standard input (-) or a named pipe are "
-        "followed as they come.",
+        ".npz or .jsonl with odom. JSON lines or a CARMEN log from standard input (-) or a named "
+        "pipe are followed as they come.",
         "LOG",
         parse=opt.find_scans,
     ),

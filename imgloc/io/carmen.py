@@ -27,7 +27,7 @@ from imgloc.io.files import PathLike, display
 from imgloc.io.scanset import Entry, ScanSet, collect, spread, wrong
 from imgloc.io.text import read_text
 from imgloc.io.textscans import check_lines
-from imgloc.model import MOUNTED, FloatArray, Pose2D, compose, inverse, wrapped_pose
+from imgloc.model import MOUNTED, FloatArray, LaserScan, Pose2D, compose, inverse, wrapped_pose
 from imgloc.options import MAX_BAD
 from imgloc.robot.odometry import Odometry
 
@@ -35,6 +35,7 @@ _LOG = logging.getLogger("imgloc")
 # In the order of preference: a log may hold the same laser in an old and in a new form.
 _LASERS = re.compile(r"ROBOTLASER\d|FLASER|RAWLASER\d|Laser|RLASER|LASER\d|L")
 _PREFERRED = ("ROBOTLASER1", "FLASER", "RAWLASER1", "Laser", "L", "RLASER")
+_WHOLE = ("ROBOTLASER1", "FLASER", "Laser", "L")  # with the robot's pose in or before them
 _ODOMETRY = ("ODOM", "Odometry")
 # SICK scanners, the only ones when FLASER was made: readings of a half turn, and the step of the
 # rays in degrees, the first at -90 (the last of an even number is not recorded).
@@ -131,6 +132,81 @@ def _stamped(messages: list[_Message], bad: BadLines) -> list[_Message]:
     for message in lacking:
         bad.skip(ScanError(f"{message.where}: the stamp is missing, expected seconds"))
     return [message for message in messages if not math.isnan(message.stamp)]
+
+
+class CarmenLines:
+    """The scans of a CARMEN log that is still being written, each of its own line alone.
+
+    Read are messages that hold the robot's pose: ``ROBOTLASER1``, ``FLASER``, and ``Laser`` after
+    ``Odometry``. Scans are those of :func:`read_carmen`, as far as a line goes: the place of the
+    laser is that of the first message, and a stamp written with six digits for seconds since 1970
+    is none.
+
+    Parameters
+    ----------
+    topic, fov : str, float
+        As of :func:`read_carmen`; by default the first laser that comes, of one of these.
+
+    Examples
+    --------
+    >>> lines = CarmenLines()
+    >>> lines.take("PARAM robot_front_laser_max 50", "line 1")
+    >>> lines.take("FLASER 2 2.5 2.5 1 2 0.5 1 2 0.5 1211.5 robot 0.1", "line 2")
+    Traceback (most recent call last):
+        ...
+    imgloc.errors.ScanError: line 2: FLASER: 2 readings, expected with them the angle that they ...
+    >>> lines.take("FLASER 181 " + 181 * "2.5 " + "1 2 0.5 1 2 0.5 1211.5 robot 0.1", "line 3").odom
+    array([[1. , 2. , 0.5]])
+    """
+
+    def __init__(self, topic: str | None = None, fov: float | None = None) -> None:
+        self._word, self._fov = topic, fov
+        self._parameters = dict[str, str]()
+        self._odometry: Pose2D | None = None
+        self._mount: Pose2D | None = None
+        self._count = 0
+
+    def take(self, line: str, where: str) -> ScanSet | None:
+        """The scan of a line; None for a line of anything else.
+
+        ScanError, by `where` it is, if a word is missing, or the laser's poses move against the
+        robot's: a mapper has corrected them.
+        """
+        words = line.split()
+        where = f"{where}: {words[0]}"
+        if words[0] in _ODOMETRY:
+            self._odometry = wrapped_pose(*_move(words, where)[1:])
+        elif words[0] == "PARAM" and len(words) > 2:
+            self._parameters[words[1]] = words[2]
+        elif words[0] == self._word or (self._word is None and words[0] in _WHOLE):
+            scan = self._scan(words, where)
+            self._word = words[0]
+            return scan
+        return None
+
+    def _scan(self, words: Sequence[str], where: str) -> ScanSet:
+        word, message = words[0], _message(words, where)
+        if word == "Laser":
+            message = replace(message, robot=self._odometry)
+        elif "e" in words[-3].lower():
+            message = replace(message, stamp=math.nan)
+        scans = _assemble([message], [], self._parameters, self._fov, where, rear=word == "RLASER")
+        return replace(scans, scans=(self._placed(scans.scans[0], where),))
+
+    def _placed(self, scan: LaserScan, where: str) -> LaserScan:
+        """The scan with the laser where it was at first."""
+        at, self._count = scan.T_base_laser, self._count + 1
+        if self._count == 1:
+            self._mount = at
+        if self._mount is None:
+            return replace(scan, T_base_laser=None)
+        off = (getattr(at, k, 0.0) - getattr(self._mount, k) for k in ("x", "y", "theta"))
+        if max(abs(math.remainder(value, math.tau)) for value in off) > _RIGID:
+            raise ScanError(
+                f"{where}: the laser has moved on the robot since the first message: a mapper has "
+                "corrected its poses; give the log as a file, not as a stream"
+            )
+        return replace(scan, T_base_laser=self._mount)
 
 
 def placed(scans: ScanSet) -> ScanSet:

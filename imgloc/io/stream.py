@@ -7,16 +7,22 @@ import re
 import stat
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
 from imgloc.errors import ScanError
+from imgloc.io.carmen import CarmenLines
 from imgloc.io.files import display, is_there, open_regular, reason
 from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 
 _LOG = logging.getLogger("imgloc")
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{")
+_CARMEN = re.compile(
+    rb"(?:\s*#[^\n]*\n)*\s*"
+    rb"(?i:# ?CARMEN|(?:PARAM|ODOM|SYNC|[FR]LASER|ROBOTLASER\d|Odometry|Laser)\b)"
+)
 _PAUSE = 0.05  # seconds between two looks at the end of a file
 
 
@@ -29,17 +35,26 @@ def is_pipe(path: Path) -> bool:
 
 
 def comes_in_lines(stream: BinaryIO) -> bool:
-    """Return whether a stream begins as JSON lines do; it is not consumed."""
-    return isinstance(stream, io.BufferedReader) and bool(_JSON.match(stream.peek(1)))
+    """Return whether a stream is to be read line by line, by the beginning; it is not consumed.
+
+    So are JSON lines, and a CARMEN log that comes through a pipe: of one that is there as a whole
+    more is known.
+    """
+    head = stream.peek(1) if isinstance(stream, io.BufferedReader) else b""
+    if _JSON.match(head):
+        return True
+    return bool(_CARMEN.match(head)) and not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
 
 
 def scans_of(
-    lines: Iterator[bytes], name: str, *, topic: str | None = None, max_bad: float = 0.0
+    lines: Iterator[bytes], name: str, *, topic: str | None = None, fov: float | None = None,
+    max_bad: float = 0.0,
 ) -> Iterator[tuple[float, ScanSet]]:  # fmt: skip
-    """Each scan of JSON lines, as soon as its line is there, and when that was.
+    """Each scan of JSON lines or a CARMEN log, as soon as its line is there, and when that was.
 
     Times are those of :func:`time.perf_counter`. Lines are those of
-    :func:`~imgloc.io.textscans.read_jsonl`; blank ones are left out, as is a last one that ends in
+    :func:`~imgloc.io.textscans.read_jsonl` or, by the first one, of
+    :class:`~imgloc.io.carmen.CarmenLines`; blank ones are left out, as is a last one that ends in
     the middle. Any other line is broken: it is left out with a warning, or a ScanError with
     its number if more than a share of the lines so far are.
 
@@ -48,27 +63,27 @@ def scans_of(
     lines : iterator of bytes
     name : str
         What error messages call the source.
-    topic : str, optional
-        As of :func:`~imgloc.io.textscans.read_jsonl`.
+    topic, fov : str, float
+        As of :func:`~imgloc.io.carmen.read_carmen`.
     max_bad : float
         Share of the lines so far, 0 to 1, that may be broken.
     """
-    bad, read = 0, False
+    take: Callable[[str, str], ScanSet | None] | None = None
+    bad = 0
     for number, line in enumerate(lines, 1):
         now, where = time.perf_counter(), f"{name}: line {number}"
         try:
             text = _text_of(line, where, first=number == 1)
             if not text:
                 continue
-            scan, read = read_jsonl_line(text, where, topic), True
+            if take is None:
+                take = _reader_of(text, topic, fov)
+            scan = take(text, where)
         except ScanError as error:
-            if read and not line.endswith(b"\n") and len(line) <= MAX_LINE:
+            if take is not None and not line.endswith(b"\n") and len(line) <= MAX_LINE:
                 return
             bad += 1
-            if not read:
-                hint = "imgloc follows JSON lines; a whole log of any other kind is no pipe"
-                raise ScanError(f"{error}; {hint}") from None
-            if bad > max_bad * number:
+            if take is None or bad > max_bad * number:
                 raise
             _LOG.warning("%s; the line is left out", error)
             continue
@@ -84,6 +99,15 @@ def _text_of(line: bytes, where: str, *, first: bool) -> str:
         return line.decode("utf-8-sig" if first else "utf-8").strip()
     except UnicodeDecodeError as e:
         raise ScanError(f"{where}: byte {e.start} is not UTF-8 text") from None
+
+
+def _reader_of(
+    text: str, topic: str | None, fov: float | None
+) -> Callable[[str, str], ScanSet | None]:
+    """Reader of lines of which this is the first."""
+    if _CARMEN.match(text.encode()):
+        return CarmenLines(topic, fov).take
+    return partial(read_jsonl_line, topic=topic)
 
 
 def lines_of(stream: BinaryIO) -> Iterator[bytes]:

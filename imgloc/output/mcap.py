@@ -30,7 +30,7 @@ from imgloc.io.files import PathLike, display, reason, write_bytes_atomic
 from imgloc.io.lasers import frame_of, scan_topics
 from imgloc.io.messages import grid_to_msg, header_fields, link_fields, pose_fields, scan_to_msg
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, compose, to_json
-from imgloc.output.ros import ARRAY, POSE, Bag, message
+from imgloc.output.ros import ARRAY, POSE, TOPICS, Bag, message
 from imgloc.output.rows import PLACES, moment_row
 
 _MAP, _BASE = "map", "base_link"
@@ -81,7 +81,7 @@ class Recording:
             write(topic, LASER, seconds, scan_to_msg(even, frame_of(topic)))
         rows = transform_poses(self._grid.origin, moment.belief.poses[:PLACES]).tolist()
         places = {"header": header, "poses": [pose_fields(Pose2D(*row)) for row in rows]}
-        write("/imgloc/hypotheses", ARRAY, seconds, places)
+        write(TOPICS[ARRAY], ARRAY, seconds, places)
         unique = message(replace(moment, stamp=seconds), self._grid.origin)
         if moment.pose is not None and unique is not None:
             write("/imgloc/pose", POSE, seconds, unique.body)
