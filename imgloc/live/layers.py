@@ -105,7 +105,7 @@ def region_cells(grid: OccupancyGrid, corners: FloatArray) -> BoolArray:
     """
     placed = [in_grid_frame(Pose2D(x, y), grid) for x, y in corners]
     corner = np.array([(p.y, p.x) for p in placed]) / grid.resolution - 0.5
-    cells = polygon2mask(grid.occupied.shape, corner)
+    cells = np.asarray(polygon2mask(grid.occupied.shape, corner), np.bool_)
     if not cells.any():
         raise ConfigError("region: it contains no cell of the map, expected some")
     return cells
