@@ -54,9 +54,9 @@ from imgloc.io.scanset import (
     ScanSet,
     ScansSize,
     check_size,
+    covers,
     numbers,
     scan_set,
-    spread,
     stated,
     wrong,
 )
@@ -136,7 +136,7 @@ def _read(kind: "_Kind", path: PathLike, how: Logs) -> ScanSet:
     if how.height is not None and "height" not in kind.takes:
         _LOG.warning(NO_CLOUDS, name, "the file", extra={"code": "unused"})
     first = scans[0].angles
-    if how.fov is not None and abs(np.ptp(first) - np.ptp(spread(len(first), how.fov))) > 0.01:
+    if how.fov is not None and not covers(first, how.fov):
         text = "%s: `fov` is not used: the file contains its angles, %.4g to %.4g degrees"
         _LOG.warning(text, name, *np.rad2deg(first[[0, -1]]), extra={"code": "unused"})
     lasers = Counter(scan.laser for scan in scans.scans if scan.laser)
