@@ -94,7 +94,7 @@ class Gate:
         self._server, self._bounds = server, bounds
         self._there: Any = server.server_state.connections
         self._loop, self._closing = asyncio.get_running_loop(), dict[Any, float]()
-        self._held_up, self._coming = asyncio.Event(), set[asyncio.Task[Any]]()
+        self._held_up, self._coming = asyncio.Event(), set[asyncio.Future[Any]]()
 
     async def accept(self, one: socket.socket) -> None:
         """Accept who comes to a socket that does not block, for ever."""
@@ -122,22 +122,16 @@ class Gate:
                 if has_gone(client):  # a burst of these is not to hold up the next one
                     client.close()
                     continue
-                coming = self._loop.create_task(
-                    self._loop.connect_accepted_socket(self._made, client)
-                )
+                made = self._loop.connect_accepted_socket(self._made, client)
+                coming = asyncio.gather(made, return_exceptions=True)
                 self._coming.add(coming)
-                coming.add_done_callback(self._came)
+                coming.add_done_callback(self._coming.discard)
             if self._room <= 0:
                 self._held_up.set()
         except BlockingIOError:
             pass
         except OSError:  # there is no descriptor, or the client has gone
             self._held_up.set()
-
-    def _came(self, coming: "asyncio.Task[Any]") -> None:
-        self._coming.discard(coming)
-        if not coming.cancelled():
-            coming.exception()  # it has gone meanwhile
 
     def _made(self) -> _Connection:
         made = _Connection(self._server.config, self._server.server_state, {}, self._loop)

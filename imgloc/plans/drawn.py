@@ -51,7 +51,7 @@ _STEMS: dict[str, str] = {
         "furn arred mobil möbel moebel mobel meubl mueble мебел 家具 equip attrezz sanit wc eq "
         "kitchen küche cucina fixture appliance chair table sofa bed desk plant veget tree car "
         "people table toilet bath sink 洁具 卫生 设备 сантех einricht inventar "
-        "kalust έπιπλ επιπλ أثاث ריהוט"
+        "kalust έπιπλ επιπλ أثاث ריהוט thất bútor"
     ),
     "note": (
         "dim dims quot cota cotas bemas maß text txt scritt anno annot title titol cartig stempel "
@@ -63,13 +63,14 @@ _STEMS: dict[str, str] = {
     "stairs": "stair scala scale trep trap escal scar comunic лестн 楼梯 階段 schod ramp lift elev",
     "window": "win wind window winow fenster fenetr fenêtr finestr vetrat ventan janel окн 窗 窓 "
     "okn glaz glas glass raam fönst vindu vindue jendela curtain ikkun pencere fereast παράθ παραθ "
-    "نافذ نوافذ חלון",
+    "نافذ نوافذ חלון sổ ablak 창 サッシ",
     "door": "door port porte porta türe tür tuer puert двер 门 門 扉 drzw dveř dver kapı deur dør "
-    "dörr ovi pintu usci πόρτ πορτ θύρ θυρ باب أبواب דלת",
+    "dörr ovi pintu usci πόρτ πορτ θύρ θυρ باب أبواب דלת cửa ajtó 문 ドア",
     "wall": "wall mur mure murs muro muratur wand wänd waende maue paret pared tabiq "
     "alvenar стен перег 墙 壁 ścian scian sten stěn vegg vägg væg seinä duvar dind cloison partit "
     "gips drywall plaster cartong column pilast pilar pillar stütz stuetz poteau колон 柱 kolom "
-    "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות",
+    "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות tường tuong cột muur "
+    "dinding tembok 벽",
 }
 _WORDS = re.compile(r"[^\W\d_]+|\.com")
 

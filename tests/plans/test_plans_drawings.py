@@ -216,6 +216,7 @@ def test_layers_without_names_and_layers_that_are_said(tmp_path: Path) -> None:
         ("A-DOOR", "door"), ("мебель", "thing"), ("arredi", "thing"), ("quote", "note"),
         ("A-ANNO-DIMS", "note"), ("Treppe", "stairs"), ("0", ""), ("Layer 3", ""),
         ("ΤΟΙΧΟΙ", "wall"), ("أبواب", "door"), ("Ikkunat", "window"), ("ריהוט", "thing"),
+        ("TƯỜNG 200", "wall"), ("CỬA SỔ", "window"), ("CỬA ĐI", "door"), ("벽체", "wall"),
     ],
 )  # fmt: skip
 def test_names_in_several_languages(name: str, role: str) -> None:
