@@ -77,9 +77,7 @@ def test_units_that_numbers_do_not_tell_are_both_named_and_a_map_decides(scans: 
     (270, "one place if the field of view is 270 degrees, not 360. Try --fov-deg 270"),
     (100, "is --fov-deg right, 360 degrees? If so, "),
 ])  # fmt: skip
-def test_a_field_of_view_that_was_stated_is_the_first_suspect(
-    view: float, said: str, tmp_path: Path
-) -> None:
+def test_a_stated_view_is_the_first_suspect(view: int, said: str, tmp_path: Path) -> None:
     grid, path = render(WORLDS["curved"](), 0.1), tmp_path / "a.csv"
     seen = simulate(grid, 3, 5, Sensor(rays=1 + view, fov=np.deg2rad(view))).scans
     path.write_text("\n".join(",".join(f"{r:.3f}" for r in scan.ranges) for scan in seen))
