@@ -44,9 +44,7 @@ def changed(path: Path, name: str, **more: object) -> Path:
         (0.5, 15.0, "multiplied by 2: is the map's resolution right. .*resolution to 0.05 m"),
     ],
 )
-def test_units_are_recognised_and_mended(
-    scans: Path, factor: float, reach: float, hint: str
-) -> None:
+def test_units_are_mended(scans: Path, factor: float, reach: float, hint: str) -> None:
     path = changed(scans, "b.npz", ranges=lambda a: factor * a["ranges"], range_max=reach)
     run = call("localize", "curved", path, OFF).ends(0)
     assert re.search(hint, run.err), run.err

@@ -197,6 +197,8 @@ def test_tables_go_through_the_command(shared: Path) -> None:
 def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="angles: missing, expected a first line '# angle_min="):
         loaded(tmp_path, table([], RANGES.tolist()))
+    with pytest.raises(ScanError, match="got 'angle:', expected a number; a table has lines such"):
+        loaded(tmp_path, "angle: -90.00 distance: 1.230\n")
 
 
 def test_a_scan_that_passes_0_degrees_is_one_scan(tmp_path: Path) -> None:
@@ -217,7 +219,7 @@ def test_points_are_no_scan(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("head", "metres"), [
     ("angle_deg,distance_mm", 1e-3), ("Angle (°);Range [cm]", 1e-2), ("phi in deg,dist/mm", 1e-3),
     ("angle_degrees,distance_in_mm", 1e-3), ("phi [deg]\tr [millimeters]", 1e-3),
-    ("angle_deg,distance", 1.0), ("angle_deg,scan_1 [cm]", 1e-2),
+    ("angle_deg,distance", 1.0), ("angle_deg,scan_1 [cm]", 1e-2), ("phi_deg,r [ft]", 0.3048),
 ])  # fmt: skip
 def test_the_units_of_a_head_win(tmp_path: Path, head: str, metres: float) -> None:
     mark = next(m for m in ";\t," if m in head)

@@ -118,6 +118,7 @@ _WHERE, OLD = "imgloc map changes MAP SCANS shows where", "an old map? see imglo
 CAUSES: Mapping[str, Cause] = MappingProxyType({
     # Seen in readings, stamps and odometry.
     "stamps": _warns("all stamps are the same: they are no times"),
+    "stamps/unit": _warns("the scans are {step:,.4g} s apart: are the stamps milliseconds?"),
     "order": _warns("{stamps} back"),
     "units": _wrong("half of the ranges are above {middle:.4g} m{beyond}: are they {unit}?",
                     _SCALED, "{unit}? " + _SCALED),

@@ -42,7 +42,7 @@ _LOG = logging.getLogger("imgloc")
 _SPIKE, _BIN, _OFTEN, _WIDE, _VALUES = number("logcheck.code")
 _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
-_FAST = number("logcheck.fast")
+_FAST, _SPARSE = number("logcheck.fast")
 _REPEATED, _TWICE = number("logcheck.repeats")
 _LACKS = number("logcheck.lacks")
 _BODY = number("logcheck.body")
@@ -100,6 +100,8 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     if times and not times["seconds"]:
         _add(findings, "stamps")
         times = None
+    if times and 0 < (pace := times["per_second"] or 0.0) < 1 / _SPARSE:
+        _add(findings, "stamps/unit", step=1 / pace)
     if times and times["back"]:
         back = times["back"]
         stamps = "a stamp goes" if back == 1 else f"{back:,} stamps go"

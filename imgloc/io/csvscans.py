@@ -34,11 +34,11 @@ _SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
 _PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
 _BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
 _DEGREE = math.pi / 180
-_UNITS = {"mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "deg": _DEGREE, "°": _DEGREE,
-          "grad": _DEGREE, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # fmt: skip
+_UNITS = {"mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "ms": 1e-3,
+          "us": 1e-6, "ns": 1e-9, "deg": _DEGREE, "°": _DEGREE, "grad": _DEGREE}  # fmt: skip
 _UNIT = re.compile(
-    r"(?:[\s_.(\[/]|\bin\b|_in_)+(?:(mm|cm|m|°|grad|rad|ms|us|ns|s|sec)|(deg)(?:rees?)?|radians?|"
-    r"(milli|centi)?met(?:re|er)s?)[)\]]?$"
+    r"(?:[\s_.(\[/]|\bin\b|_in_)+(?:(mm|cm|m|ft|°|grad|rad|ms|us|ns|s|sec)|(deg)(?:rees?)?|"
+    r"radians?|(milli|centi)?met(?:re|er)s?)[)\]]?$"
 )
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
 _ROLES = (

@@ -260,6 +260,8 @@ def number_of(text: str, where: str) -> float:
         return float(text)
     except ValueError:
         hint = "; separate by commas, with decimal points" if re.search(r"[;\t ]", text) else ""
+        if where.endswith(": column 1") and not hint:
+            hint = "; a table has lines such as 90.0,1230 below one of angle_deg,distance_mm"
         raise ScanError(f"{where}: got {text[:40]!r}, expected a number{hint}") from None
 
 
