@@ -259,15 +259,8 @@ class _Trial:
             cells = (
                 "" if unit else f", or correct the map's resolution to {resolution / factor:g} m"
             )
-            asked = factor * self.given.range_scale
-            return cause(
-                "scale",
-                fits=self.asked + self.fits,
-                times=factor,
-                why=why,
-                factor=asked,
-                cells=cells,
-            )
+            fits, asked = self.asked + self.fits, factor * self.given.range_scale
+            return cause("scale", fits=fits, times=factor, why=why, factor=asked, cells=cells)
         return None
 
     def elsewhere(self) -> Cause:

@@ -195,7 +195,7 @@ def _factor(unit: re.Match[str] | None) -> float:
 
 def _metres(name: str) -> float:
     """Metres that 1 stands for in one of several columns of ranges, such as ``r0 [mm]``."""
-    return _factor(re.search(r"[\W_](mm|cm)[\W_\d]*$", name))
+    return _factor(re.search(r"[\W_](mm|cm|ft)[\W_\d]*$", name))
 
 
 @dataclass
