@@ -16,6 +16,7 @@ _OPTIONS = {
     "index": "scans-index",
     "fov": "fov-deg",
     "theta_step": "theta-step-deg",
+    "max_turn": "max-turn-deg",
 }  # arguments that the command line takes by another name
 
 

@@ -154,9 +154,7 @@ def test_the_help_has_groups_and_whole_sentences() -> None:
     ("a.txt", "time {\n  sec: 12\n  nsec: 5\n}\nangle_min: -1.5\nranges: 1\n", "ros_gz_bridge"),
     ("a.csv", "header {\n  data {\n    key: \"seq\"\n  }\n}\nangle_step: 1\n", "gz topic"),
 ])  # fmt: skip
-def test_texts_of_simulators_are_told_what_would_do(
-    name: str, text: str, hint: str, tmp_path: Path
-) -> None:
+def test_texts_of_simulators_get_a_hint(name: str, text: str, hint: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     run = call("inspect", tmp_path / name).ends(4, hint)
     assert "expected a number" not in run.err

@@ -44,9 +44,7 @@ def changed(path: Path, name: str, **more: object) -> Path:
         (0.5, 15.0, "multiplied by 2: is the map's resolution right. .*resolution to 0.05 m"),
     ],
 )
-def test_units_are_recognised_and_mended(
-    scans: Path, factor: float, reach: float, hint: str
-) -> None:
+def test_units_are_mended(scans: Path, factor: float, reach: float, hint: str) -> None:
     path = changed(scans, "b.npz", ranges=lambda a: factor * a["ranges"], range_max=reach)
     run = call("localize", "curved", path, OFF).ends(0)
     assert re.search(hint, run.err), run.err
@@ -60,6 +58,45 @@ def test_units_are_recognised_and_mended(
     (option,) = re.findall(r"--range-scale (\S+?)[,\s]", run.err + "\n")
     mended = rows(call("localize", "curved", path, OFF, "--json", "--range-scale", option).out)
     assert [row["verdict"] for row in mended] == ["unique", "unique"]
+
+
+def test_units_that_numbers_do_not_tell_are_both_named_and_a_map_decides(scans: Path) -> None:
+    path = changed(scans, "e.npz", ranges=lambda a: 300 * a["ranges"], range_max=np.inf)
+    run = call("inspect", path).ends(0)
+    either = "are they millimetres (--range-scale 0.001) or centimetres (--range-scale 0.01)?\n"
+    assert either in run.out
+    assert "--range-scale" not in run.out.split("next")[1]
+    path = changed(scans, "e.npz", ranges=lambda a: 1000 * a["ranges"].clip(0, 8), range_max=8000)
+    assert either in call("inspect", path).out
+    assert "--range-scale 0.001" in call("inspect", "curved", path).out.split("next")[1]
+
+
+@pytest.mark.parametrize(("view", "said"), [
+    (270, "one place if the field of view is 270 degrees, not 360. Try --fov-deg 270"),
+    (100, "is --fov-deg right, 360 degrees? If so, "),
+])  # fmt: skip
+def test_a_stated_view_is_the_first_suspect(view: int, said: str, tmp_path: Path) -> None:
+    grid, path = render(WORLDS["curved"](), 0.1), tmp_path / "a.csv"
+    seen = simulate(grid, 3, 5, Sensor(rays=1 + view, fov=np.deg2rad(view))).scans
+    path.write_text("\n".join(",".join(f"{r:.3f}" for r in scan.ranges) for scan in seen))
+    assert said in call("localize", "curved", path, "--fov-deg", 360).err
+    run = call("inspect", "curved", path, "--fov-deg", 360)
+    assert said in run.out
+    assert ("--fov-deg 270" in run.out.split("next")[1]) == (view == 270)
+
+
+def test_a_map_that_no_scan_is_sure_of_is_no_good_one(scans: Path) -> None:
+    run = call("inspect", "double_wall", scans)
+    assert "on the map  undecided, 2 scans tried: 2 ambiguous" in run.out
+    assert "map: no scan tried has one place on this map, and the recorded poses do not" in run.out
+    assert "on the map  good, 2 scans tried: 2 unique" in call("inspect", "curved", scans).out
+
+
+def test_what_changes_nothing_is_said(scans: Path) -> None:
+    run = call("localize", "curved", scans, OFF, "--max-turn-deg", 30)
+    assert "--max-speed and --max-turn-deg change nothing: the scans have no time_in" in run.err
+    run = call("localize", "curved", scans, OFF, "--negate")
+    assert "look swapped; where --negate was passed leave it out" in run.err
 
 
 def test_scans_of_another_place_end_with_what_to_look_at(scans: Path) -> None:
@@ -216,7 +253,7 @@ def test_priors_that_leave_the_place_out_are_named_together(scans: Path) -> None
 
 def test_a_hint_about_few_readings_is_two_sentences(scans: Path) -> None:
     run = call("localize", "curved", scans, OFF, "--range-max", 0.01)
-    assert "are they millimetres? Look at range_min and range_max" in hint_of(run)
+    assert "0 nan. Most rays met nothing within range_max, 0.01 m: is it right" in hint_of(run)
 
 
 @pytest.mark.parametrize("folder", [".", "/"])

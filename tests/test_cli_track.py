@@ -236,11 +236,7 @@ def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried
 @pytest.mark.parametrize("carried", [False, True], ids=["drives", "is carried"])
 @pytest.mark.parametrize(
     "ranges",
-    [
-        lambda _: np.nan,
-        lambda r: np.linspace(0.09, 0.11, len(r)),
-        lambda last: last,
-    ],
+    [lambda _: np.nan, lambda r: np.linspace(0.09, 0.11, len(r)), lambda last: last],
     ids=["nan", "covered", "frozen"],
 )
 def test_a_blind_robot_gives_no_pose(
@@ -326,6 +322,10 @@ def test_scans_alone_tell_the_motion_of_a_log_without_odometry(log: Path, tmp_pa
     run.ends(0, "bare.npz: it has no odometry that moves, so the scans alone tell the motion")
     asked = call("track", MAP, log, "--odom", "scans")
     assert (asked.code, asked.out) == (0, run.out)
+    assert "more scans a second" not in run.err
+    np.savez(bare, **data | {"stamps": 20 * data["stamps"]})
+    far = call("track", MAP, bare).ends(0, "more than 4 s apart tell no motion", "unknown way: ")
+    assert {line.split()[-1] for line in far.out.splitlines()[2:]} == {"-"}
 
 
 def test_odometry_in_millimetres_is_refused(log: Path, tmp_path: Path) -> None:

@@ -102,10 +102,7 @@ def image_of(grey: np.ndarray, name: str) -> bytes:
     return cv2.imencode(f".{ending}", image)[1].tobytes()
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["flat.png", "rgba16.png", "grey.pgm", "P3.ppm", "rgb.bmp"],
-)
+@pytest.mark.parametrize("name", ["flat.png", "rgba16.png", "grey.pgm", "P3.ppm", "rgb.bmp"])
 def test_loading_a_map_takes_no_more_than_estimated(
     name: str, resident: Callable[..., int], tmp_path: Path
 ) -> None:

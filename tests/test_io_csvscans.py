@@ -197,6 +197,8 @@ def test_tables_go_through_the_command(shared: Path) -> None:
 def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="angles: missing, expected a first line '# angle_min="):
         loaded(tmp_path, table([], RANGES.tolist()))
+    with pytest.raises(ScanError, match="got 'angle:', expected a number; a table has lines such"):
+        loaded(tmp_path, "angle: -90.00 distance: 1.230\n")
 
 
 def test_a_scan_that_passes_0_degrees_is_one_scan(tmp_path: Path) -> None:
@@ -212,6 +214,34 @@ def test_a_scan_that_passes_0_degrees_is_one_scan(tmp_path: Path) -> None:
 def test_points_are_no_scan(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="are points; expected columns angle and range: atan2"):
         loaded(tmp_path, table(["x", "y"], RANGES[:, :2].tolist()))
+
+
+@pytest.mark.parametrize(("head", "metres"), [
+    ("angle_deg,distance_mm", 1e-3), ("Angle (°);Range [cm]", 1e-2), ("phi in deg,dist/mm", 1e-3),
+    ("angle_degrees,distance_in_mm", 1e-3), ("phi [deg]\tr [millimeters]", 1e-3),
+    ("angle_deg,distance", 1.0), ("angle_deg,scan_1 [cm]", 1e-2), ("phi_deg,r [ft]", 0.3048),
+])  # fmt: skip
+def test_the_units_of_a_head_win(tmp_path: Path, head: str, metres: float) -> None:
+    mark = next(m for m in ";\t," if m in head)
+    rows = [[math.degrees(a), round(v)] for a, v in zip(ANGLES, 951 * RANGES[0], strict=True)]
+    (scan,) = loaded(tmp_path, f"{head}\n" + table([], rows, mark)).scans
+    np.testing.assert_allclose(scan.ranges, metres * np.round(951 * RANGES[0]))
+    wide = table([f"r{k}_cm" for k in range(RAYS)], RANGES.tolist())
+    (scan, *_) = loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + wide).scans
+    np.testing.assert_allclose(scan.ranges, 0.01 * RANGES[0])
+
+
+def test_what_the_sdk_of_rplidar_prints_is_read(tmp_path: Path) -> None:
+    degrees = np.arange(0.5, 360, 10).tolist()
+    lines = [f"{'S ' * (a < 1)} theta: {a:06.2f} Dist: {1000 * v:08.2f} Q: 47 "
+             for row in RANGES for a, v in zip(degrees, row, strict=True)]  # fmt: skip
+    lines[3], lines[40] = "   theta: 030.50 Dist: 00000.00 Q: 0 ", "Error, operation timeout"
+    (tmp_path / "a.txt").write_text("\n".join(["Version: 2.0", "Firmware Ver: 1.29", *lines, ""]))
+    scans = load_scans(tmp_path / "a.txt")
+    assert [len(scan.ranges) for scan in scans.scans] == [RAYS, RAYS - 1, *[RAYS] * (N - 2)]
+    np.testing.assert_allclose(scans[2].ranges, RANGES[2])
+    np.testing.assert_allclose(scans[2].angles, -np.deg2rad(degrees))
+    assert np.isposinf(scans[0].ranges[3])
 
 
 def test_a_list_that_is_cut_off_in_a_cell_is_left_out(tmp_path: Path) -> None:

@@ -256,11 +256,7 @@ def test_report_of_a_healthy_map(write) -> None:
     assert report.shares["free"] == free / 2000
     assert sum(report.shares.values()) == pytest.approx(1)
     assert report.greys[0] in ((254.0, free), (205.0, 800))
-    assert dict(report.greys) == {
-        0.0: np.count_nonzero(room() == 0),
-        205.0: 800,
-        254.0: free,
-    }
+    assert dict(report.greys) == {0.0: np.count_nonzero(room() == 0), 205.0: 800, 254.0: free}
     assert report.grey_levels == 3
     assert report.semantics_differ == 0
     assert report.warnings == ()

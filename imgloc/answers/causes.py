@@ -9,6 +9,7 @@ A cause has a sentence and what mends it, and stands where it is tried; who does
 'fits if mirrored: leave out `flipped=True`'
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -19,7 +20,8 @@ from imgloc.answers.truth import NOT_TRUE
 from imgloc.io.calibration import calibration_path
 from imgloc.io.files import PathLike, display
 from imgloc.io.maps import DRAWN, SLIP, SWAPPED
-from imgloc.model import OccupancyGrid
+from imgloc.io.scanset import covers
+from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Drawn, Shared
 
 
@@ -51,6 +53,7 @@ class Given:
     range_scale: float = 1.0  #: their ranges were multiplied by it
     calibration: str = ""  #: the file that the shared error of the options is from; empty: none is
     uncalibrated: Shared = field(default_factory=Shared)  #: the shared error without that file
+    fov: float | None = None  #: the angle that their rays were taken to cover, radians
 
     def beside(
         self, map_path: PathLike, grid: OccupancyGrid, drawn: Drawn | None = None
@@ -59,6 +62,11 @@ class Given:
         shared = (drawn or Drawn()).on(Shared(), grid.resolution)
         file = display(calibration_path(map_path))
         return replace(self, calibration=file, uncalibrated=shared)
+
+    def view_of(self, scan: LaserScan) -> float | None:
+        """The angle that the rays of a scan were spread over as it was stated, degrees, if so."""
+        stated = self.fov is not None and covers(scan.angles, self.fov)
+        return math.degrees(self.fov or 0.0) if stated else None
 
     def calibrated(self, shared: Shared, keys: Sequence[str]) -> str:
         """Words that name the calibration file, and its values of some keys of `shared`.
@@ -110,9 +118,13 @@ _WHERE, OLD = "imgloc map changes MAP SCANS shows where", "an old map? see imglo
 CAUSES: Mapping[str, Cause] = MappingProxyType({
     # Seen in readings, stamps and odometry.
     "stamps": _warns("all stamps are the same: they are no times"),
+    "stamps/unit": _warns("the scans are {step:,.4g} s apart: are the stamps milliseconds?"),
     "order": _warns("{stamps} back"),
     "units": _wrong("half of the ranges are above {middle:.4g} m{beyond}: are they {unit}?",
                     _SCALED, "{unit}? " + _SCALED),
+    "units/either": _wrong("half of the ranges are above {middle:.4g} m{beyond}: are they "
+                           "millimetres (`range_scale={factor:g}`) or centimetres "
+                           "(`range_scale={other:g}`)?"),
     "units/moved": _wrong(AGREE + "if the ranges are {unit}", _SCALED),
     "codes": _wrong("{share:.1%} of the readings are {which}, and none is longer: it is the "
                     "sensor's code for a ray that met nothing", "`range_max={low:g}`"),
@@ -157,6 +169,8 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
                        "`sensor={sensor}`"),
     "view": _wrong(AGREE + "if the field of view is {right:.0f} degrees, not {view:.0f}: look at "
                    "angle_min, angle_max and angle_increment"),
+    "view/stated": _wrong("{lead}if the field of view is {right:.4g} degrees, not {view:.4g}",
+                          "`fov={right:.4g}`"),
     "lag": _wrong(AGREE + "with the odometry of about {late:.2g} {side} each scan: their clocks "
                   "differ, or one is written late"),
     # Tried by locating some scans in another way, or seen in the map.
@@ -164,7 +178,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "calibration": _wrong("{fits} this map far better {than} {calibrated}", "",
                           "fits far better without {file}"),
     "centimetres": _wrong(SLIP, short="is the map's resolution in centimetres?"),
-    "swapped": _wrong(SWAPPED, short="black and white of the map look swapped: `negate=True`"),
+    "swapped": _wrong(SWAPPED, short="black and white of the map look swapped: is negate right?"),
     "prior": _wrong("the best fit, {where}, lies outside {asked}: {right} right?", "",
                     "fits where {asked} {leave} out"),
     "mirrored": _wrong("{fits} at one place if mirrored: is the sensor upside down, or the map's "
@@ -184,6 +198,9 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "map": _look("{none} not fit this map{also}: is it the map of this place? imgloc which FOLDER "
                  "SCANS compares the maps of a folder; " + _RAY_BY_RAY,
                  short="another map? see imgloc which, imgloc map check"),
+    "map/undecided": _warns("no scan tried has one place on this map{besides}: it may be the map "
+                            "of another place. imgloc track MAP LOG tells within some metres, "
+                            "imgloc which FOLDER SCANS compares the maps of a folder"),
     "none": _look("imgloc localize finds such scans at one place of {name}, because it takes for "
                   "granted that they are from that map; imgloc which does not"),
     "thick": _wrong("the walls of this map are drawn thick, as on maps that no laser made. imgloc "

@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from imgloc.answers.causes import Cause, Given, cause
+from imgloc.answers.scanmotion import widened
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import looks_drawn, looks_swapped
@@ -25,11 +26,14 @@ Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
 # nats per reading; where the best pose lacks less, several places fit as they are
 _FITS = number("diagnose.fits")
-_TRIED = number("diagnose.tried")  # doubtful scans that are looked at in another way
+# doubtful scans that are looked at in another way, and views that sensors have, radians
+_TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
 # resolution.
 _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, degrees
-_LONG = number("diagnose.long")
+# Medians above which ranges are no metres, may be millimetres, and are no centimetres; of them the
+# share whose greatest is the longest one, and metres that no sensor sees.
+_LONG, _ROOM, _HALL, _NEARER, _UNSEEN = number("diagnose.long")
 _MOST = number("diagnose.most")  # of the readings
 UNITS = {"millimetres": 0.001, "centimetres": 0.01}  #: metres
 _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
@@ -96,12 +100,12 @@ def doubts(
         return [too_few(trial.scans.scans, one=trial.one)]
     if looks_swapped(features.grid):
         return [cause("swapped")]
-    found = trial.prior() or trial.mirrored() or trial.scale()
+    found = trial.view() or trial.prior() or trial.mirrored() or trial.scale()
     if found or bent_:
         return [found] if found else bent_
     if looks_drawn(features.grid):
         return [cause("plan")]
-    return [trial.elsewhere()] if 2 * counts["no-match"] > len(scans) else []
+    return [trial.elsewhere()] if 2 * counts["no-match"] > len(scans) or trial.asked else []
 
 
 def mirrored(
@@ -199,21 +203,29 @@ class _Trial:
 
     def units(self) -> Cause | None:
         """Half of the ranges are longer than rooms are, or than the map: in which unit they fit."""
-        ranges = np.concatenate([scan.ranges for scan in self.scans.scans[:100]])
-        ranges = ranges[np.isfinite(ranges) & (ranges > 0)]
-        middle = float(np.median(ranges)) if len(ranges) else 0.0
         longest = self.features.grid.diagonal
-        likely, beyond = unit_of(middle), ""
+        middle, likely = units_of(self.scans.scans, longest)
         if not likely and middle <= longest:
             return None
-        fitting = (name for name, f in UNITS.items() if self.unique(lambda s, f=f: s.scaled(f)))  # type: ignore[misc]
-        unit = next(fitting, likely)
-        if not unit:
-            return None
-        if not likely:
-            beyond = f", but the map is {longest:.3g} m from corner to corner"
-        factor = UNITS[unit] * self.given.range_scale
-        return cause("units", unit=unit, middle=middle, beyond=beyond, factor=factor)
+        fitting = ([name] for name, f in UNITS.items() if self.unique(lambda s, f=f: s.scaled(f)))  # type: ignore[misc]
+        units = next(fitting, likely)
+        beyond = "" if likely else f", but the map is {longest:.3g} m from corner to corner"
+        return units_cause(middle, units, beyond, self.given.range_scale) if units else None
+
+    def view(self) -> Cause | None:
+        """The scans fit with another field of view than was stated."""
+        view, misfits = self.given.view_of(self.scans[0]), dict[float, float]()
+        for right in map(math.degrees, _VIEWS if view else ()):
+            if found := self.unique(lambda s, f=right / (view or 1): widened(s, f)):  # type: ignore[misc]
+                misfits[right] = float(np.median([a.evidence.misfit for a in found]))
+        lead, right = f"{self.fits} at one place ", min(misfits, key=misfits.__getitem__, default=0)
+        return cause("view/stated", lead=lead, right=right, view=view) if misfits else None
+
+    @property
+    def asked(self) -> str:
+        """A question for the field of view, if it was stated: it is the first suspect."""
+        view = self.given.view_of(self.scans[0])
+        return f"is `fov` right, {view:.4g} degrees? If so, " if view else ""
 
     def prior(self) -> Cause | None:
         """The scans fit elsewhere, at poses that what was given leaves out."""
@@ -247,13 +259,13 @@ class _Trial:
             cells = (
                 "" if unit else f", or correct the map's resolution to {resolution / factor:g} m"
             )
-            asked = factor * self.given.range_scale
-            return cause("scale", fits=self.fits, times=factor, why=why, factor=asked, cells=cells)
+            fits, asked = self.asked + self.fits, factor * self.given.range_scale
+            return cause("scale", fits=fits, times=factor, why=why, factor=asked, cells=cells)
         return None
 
     def elsewhere(self) -> Cause:
         """Nothing helps: an old map if the scans agree about where they are, else another one."""
-        none = "this scan does" if self.one else "most scans do"
+        none = self.asked + ("this scan does" if self.one else "most scans do")
         if (share := self._agreed()) is not None:
             return cause("old", none=none, share=share)
         names = " and ".join(f"`{name}`" for name in self.options.prior.about)
@@ -386,17 +398,35 @@ def too_few(scans: Sequence[LaserScan], *, one: bool = False) -> Cause:
     return cause("few", which="this scan has" if one else "most scans have", counts=counts, why=why)
 
 
-def unit_of(middle: float) -> str:
-    """The unit of ranges whose median is so great that they are not metres; empty if they may be.
+def units_of(scans: Sequence[LaserScan], most: float = math.inf) -> tuple[float, list[str]]:
+    """The median of the ranges, and their unit if it is so great that they are not metres.
+
+    A room in millimetres may have the numbers of a hall in centimetres: then there are two units,
+    unless the longest ranges would be longer than `most` metres, or than sensors see.
 
     Examples
     --------
-    >>> unit_of(2.5), unit_of(250.0), unit_of(2500.0)
-    ('', 'centimetres', 'millimetres')
+    >>> room = LaserScan(np.linspace(0.3, 3.0, 50), np.linspace(-1, 1, 50))
+    >>> [units_of([room.scaled(factor)])[1] for factor in (1, 100, 1000, 5000)]
+    [[], ['centimetres'], ['millimetres', 'centimetres'], ['millimetres']]
+    >>> units_of([room.scaled(1000)], 20.0)[1]
+    ['millimetres']
     """
-    if middle <= _LONG[1]:
-        return ""
-    return "millimetres" if middle > _LONG[0] else "centimetres"
+    ranges = np.concatenate([scan.ranges for scan in scans[:100]])
+    known = ranges[np.isfinite(ranges) & (ranges > 0)]
+    middle = float(np.median(known)) if len(known) else 0.0
+    if middle <= _LONG / (2 if (known == np.rint(known)).all() else 1):  # no metres are whole
+        return middle, []
+    longest = np.quantile(np.unique(known), _NEARER, method="lower")  # the greatest may be a code
+    hall = middle <= _HALL and UNITS["centimetres"] * longest <= min(most, _UNSEEN)
+    return middle, list(UNITS)[middle <= _ROOM : 1 + hall] or list(UNITS)[:1]
+
+
+def units_cause(middle: float, units: Sequence[str], beyond: str = "", scale: float = 1) -> Cause:
+    """The cause that ranges, which were multiplied by `scale`, are in one or two other units."""
+    one, other = UNITS[units[0]] * scale, UNITS[units[-1]] * scale
+    key, about = ("units", "units/either")[len(units) > 1], {"middle": middle, "beyond": beyond}
+    return cause(key, None, unit=units[0], factor=one, other=other, **about)
 
 
 def why_invalid(scans: Sequence[LaserScan]) -> str:
@@ -439,13 +469,10 @@ def few_readings(scans: Sequence[LaserScan]) -> str:
     >>> few_readings([LaserScan([np.nan, 20.0, 3.0], [0.0, 1.0, 2.0], range_max=10.0)])
     'of 3 readings 1 valid, 1 no return, 0 too close, 1 nan'
     """
-    ranges = np.concatenate([scan.ranges for scan in scans[:100]])
-    limit = max(scan.range_max for scan in scans)
-    finite = ranges[np.isfinite(ranges) & (ranges > 0)]
-    beyond = finite[finite >= limit]
-    if len(beyond) > 0.5 * len(ranges) and np.percentile(beyond, 25) > 5 * limit:
-        found = f"most ranges are far beyond range_max (half are above {np.median(finite):g}, "
-        return f"{found}range_max is {limit:g}): are they millimetres?"
+    (middle, units), limit = units_of(scans), max(scan.range_max for scan in scans)
+    if units and middle > limit:
+        found = f"most ranges are far beyond range_max (half are above {middle:g}, range_max is "
+        return f"{found}{limit:g}): are they {' or '.join(units)}?"
     total = {key: sum(scan.counts[key] for scan in scans) for key in scans[0].counts}
     unused = ", ".join(f"{n:,} {key.replace('_', ' ')}" for key, n in total.items())
     return f"of {sum(total.values()):,} readings {unused}"

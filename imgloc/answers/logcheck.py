@@ -1,7 +1,7 @@
 """A look into a log of scans, and at its likely faults, before it is used.
 
 >>> from imgloc.model import LaserScan
->>> scan = LaserScan(np.full(90, 2000.0), np.linspace(-1.5, 1.5, 90))
+>>> scan = LaserScan(np.full(90, 5000.0), np.linspace(-1.5, 1.5, 90))
 >>> report = check_log(ScanSet((scan,)))
 >>> report.findings[0].code, report.findings[0].options
 ('units', '`range_scale=0.001`')
@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.causes import AGREE, Cause, Given, cause
-from imgloc.answers.diagnose import UNITS, doubts, mirrored, place_words, too_few, unit_of
+from imgloc.answers.diagnose import doubts, mirrored, place_words, too_few, units_cause, units_of
 from imgloc.answers.scanmotion import (
     AGREES,
     POOR,
-    Agreement,
     Way,
     agreement,
     odd_laser,
@@ -43,7 +42,7 @@ _LOG = logging.getLogger("imgloc")
 _SPIKE, _BIN, _OFTEN, _WIDE, _VALUES = number("logcheck.code")
 _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
-_FAST = number("logcheck.fast")
+_FAST, _SPARSE = number("logcheck.fast")
 _REPEATED, _TWICE = number("logcheck.repeats")
 _LACKS = number("logcheck.lacks")
 _BODY = number("logcheck.body")
@@ -101,6 +100,8 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     if times and not times["seconds"]:
         _add(findings, "stamps")
         times = None
+    if times and 0 < (pace := times["per_second"] or 0.0) < 1 / _SPARSE:
+        _add(findings, "stamps/unit", step=1 / pace)
     if times and times["back"]:
         back = times["back"]
         stamps = "a stamp goes" if back == 1 else f"{back:,} stamps go"
@@ -108,8 +109,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     path = scans.odom if scans.odom is not None else scans.poses
     known = np.zeros(0, bool) if path is None else np.isfinite(path).all(axis=1)
     poses = "odometry" if scans.poses_are_odometry else scans.poses is not None
-    facts |= {"odometry": None, "poses": poses, "agreement": None}
-    facts["straightened"] = None
+    facts |= {"odometry": None, "poses": poses, "agreement": None, "straightened": None}
     if scans.odom is not None:
         facts["odometry"] = _about_odometry(scans, found, findings)
     if path is not None and known.sum() > 1:
@@ -151,13 +151,15 @@ def on_map(
     sure = [answer.explained for answer in answers if answer.verdict == "unique"]
     facts["not_on_map"] = 1 - float(np.median(sure)) if sure else None
     said = [(answer.verdict, answer.evidence) for answer in answers]
-    if not _UNDONE & {finding.code for finding in findings}:
+    if not _UNDONE & {f.code for f in findings if f.options or f.code != "units"}:
         if 2 * len(sure) < len(answers):
             causes = doubts(features, some, said, options, given)
         else:
             causes = [*filter(None, [mirrored(features, some, said, options, given)])]
         for found in _with_motion(causes, report, given):
-            code = {"mirrored": "flipped", "mirrored/map": "mirrored"}.get(found.code, "map")
+            codes = {"mirrored": "flipped", "mirrored/map": "mirrored", "units": "units"}
+            code = codes.get(found.code, "map")
+            findings = [f for f in findings if f.code != "units"]  # the map decides between two
             findings.append(replace(found, code=code, serious=code != "map" or not sure))
     facts["poses_fit"] = facts["odometry_fits"] = None
     if not _UNDONE & {finding.code for finding in findings}:
@@ -168,6 +170,9 @@ def on_map(
         if scans.odom is not None and np.isfinite(scans.odom).all():
             at = sensor_poses(scans)
             facts["odometry_fits"] = poses_fit(features.grid, scans.scans, at)
+        if answers and not sure and not {"map", "mirrored"} & {f.code for f in findings}:
+            besides = ", and the recorded poses do not fit it" * (facts["poses_fit"] is False)
+            findings.append(cause("map/undecided", besides=besides))
     return replace(report, facts=facts, findings=tuple(_sorted(findings)))
 
 
@@ -271,10 +276,8 @@ def _about_readings(scans: ScanSet, findings: list[Cause]) -> dict[str, Any]:
         "sensor": None if mount is None else [mount.x, mount.y, math.degrees(mount.theta)],
     }
     raw = np.concatenate([scan.ranges for scan in some])
-    known = raw[np.isfinite(raw) & (raw > 0)]
-    middle = float(np.median(known)) if len(known) else 0.0
-    if unit := unit_of(middle):
-        _add(findings, "units", unit=unit, middle=middle, beyond="", factor=UNITS[unit])
+    if (found := units_of(some))[1]:
+        findings.append(units_cause(*found))
         return facts
     if (code := _code(seen)) is not None:
         low, top = code
@@ -285,11 +288,8 @@ def _about_readings(scans: ScanSet, findings: list[Cause]) -> dict[str, Any]:
         findings.append(too_few(some))
     elif total["too_close"] > _CLOSE * count:
         zeros = float(np.mean(raw == 0))
-        what = (
-            f"{zeros:.0%} of the readings are 0"
-            if zeros > _CLOSE
-            else (f"{total['too_close'] / count:.0%} of the readings are closer than range_min")
-        )
+        near = f"{total['too_close'] / count:.0%} of the readings are closer than range_min"
+        what = f"{zeros:.0%} of the readings are 0" if zeros > _CLOSE else near
         _add(findings, "too-close", what=what)
     _about_body(some, findings)
     return facts
@@ -393,11 +393,8 @@ def _about_gaps(
     if times is not None and scans.stamps is not None:
         waited = np.diff(scans.stamps)
         usually = max(float(np.nanmedian(waited)), 1e-6)
-        fast = (
-            float(np.nanmedian((steps / np.maximum(waited, 1e-6))[steps > _STANDS]))
-            if moving
-            else 0.0
-        )
+        speeds = (steps / np.maximum(waited, 1e-6))[steps > _STANDS]
+        fast = float(np.nanmedian(speeds)) if moving else 0.0
     else:
         fast = moving
     if fast > _FAST and scans.odom is not None:
@@ -420,7 +417,7 @@ def _about_motion(
     """Return whether scans and odometry agree."""
     if {"units", "odometry-units", "few"} & {finding.code for finding in findings}:
         return None
-    found: Agreement = agreement(scans, path)
+    found = agreement(scans, path)
     if len(scans.lasers) > 1 and (odd := odd_laser(scans, path)) is not None:
         _add(findings, "two-lasers/odd", laser=odd[0], share=odd[1])
     elif found.two_lasers:
@@ -445,8 +442,10 @@ def _undone(way: Way, scans: ScanSet, given: Given | None) -> Cause:
     mount = scans[0].T_base_laser or Pose2D(0.0, 0.0)
     turned = Pose2D(mount.x, mount.y, mount.theta + way.value)
     unit = "s" if scans.stamps is not None else "scans"
+    stated = given is not None and given.view_of(scans[0]) is not None
+    key = way.code + {"units": "/moved", "view": "/stated" * stated}.get(way.code, "")
     return cause(
-        "units/moved" if way.code == "units" else way.code, given, factor=way.value,
+        key, given, factor=way.value, lead=AGREE,
         unit="millimetres" if way.value < 0.005 else "centimetres", turn=math.degrees(way.value),
         sensor=f"{turned.x:g},{turned.y:g},{math.degrees(turned.theta):.4g}deg", view=view,
         right=view * way.value, late=abs(way.value),

@@ -132,14 +132,7 @@ def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
     starts = evenly(len(scans) - 2, 4 * _PAIRS)
 
     def median(ahead: int, some: IntArray) -> float:
-        shares = [
-            overlap(
-                scans[i],
-                scans[i + ahead],
-                compose(inverse(Pose2D(*odom[i])), Pose2D(*odom[i + ahead])),
-            )
-            for i in some.tolist()
-        ]
+        shares = [overlap(scans[i], scans[i + ahead], _step(odom, i, i + ahead)) for i in some]
         return float(np.nanmedian([0.0, *shares]))
 
     alike = max(median(2, starts[starts % 2 == odd]) for odd in (0, 1))
@@ -156,7 +149,7 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
         turn = quarter * math.pi / 2
         ways.append(Way("mounting", turn, scan=lambda s, t=turn: _turned(s, t)))  # type: ignore[misc]
     for factor in _ANGLES:
-        ways.append(Way("view", factor, scan=lambda s, f=factor: _widened(s, f)))  # type: ignore[misc]
+        ways.append(Way("view", factor, scan=lambda s, f=factor: widened(s, f)))  # type: ignore[misc]
     times, unit = np.arange(len(odom), dtype=float), 1.0
     if scans.stamps is not None and np.isfinite(scans.stamps).all():
         times = scans.stamps - scans.stamps[0]
@@ -185,7 +178,8 @@ def _turned(scan: LaserScan, turn: float) -> LaserScan:
     return replace(scan, T_base_laser=Pose2D(mount.x, mount.y, mount.theta + turn))
 
 
-def _widened(scan: LaserScan, factor: float) -> LaserScan:
+def widened(scan: LaserScan, factor: float) -> LaserScan:
+    """The scan with its field of view multiplied, about its middle."""
     middle = 0.5 * (scan.angles.min() + scan.angles.max())
     return replace(scan, angles=middle + factor * (scan.angles - middle))
 
@@ -219,7 +213,7 @@ def _share(
     Turns show errors of angles, and ways those of lengths. `scan` gives the scan of an index.
     """
     moved = way.odom(odom)
-    steps = [compose(inverse(wrapped_pose(*odom[i])), wrapped_pose(*odom[j])) for i, j in pairs]
+    steps = [_step(odom, i, j) for i, j in pairs]
     turned = sorted(range(len(pairs)), key=lambda k: -abs(steps[k].theta))
     gone = sorted(
         range(len(pairs)),
@@ -232,7 +226,7 @@ def _share(
         for k in order[:_PAIRS]:
             if k not in seen:
                 i, j = pairs[k]
-                step = compose(inverse(wrapped_pose(*moved[i])), wrapped_pose(*moved[j]))
+                step = _step(moved, i, j)
                 seen[k] = overlap(way.scan(scan(i)), way.scan(scan(j)), step, way.unit)
             if not math.isnan(seen[k]):
                 shares.append(seen[k])
@@ -241,6 +235,11 @@ def _share(
         elif len(order) >= _PAIRS:  # scans without readings agree with nothing
             medians.append(0.0)
     return min(medians, default=math.nan)
+
+
+def _step(odom: FloatArray, i: int, j: int) -> Pose2D:
+    """The motion between two of the poses (N, 3), in the earlier one's frame."""
+    return compose(inverse(wrapped_pose(*odom[i])), wrapped_pose(*odom[j]))
 
 
 def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0) -> float:

@@ -392,7 +392,7 @@ def _printed(
     """The moments, each printed and `shown` as it comes, and a word about all of them."""
     from imgloc.filters.follow import UNCONFIRMED
     from imgloc.output.tables import bent_words
-    from imgloc.output.tracks import track_header
+    from imgloc.output.tracks import track_header, way_words
 
     moments, begin, speed = list["Moment"](), time.perf_counter(), ""
     with progress("track", count) as advance:
@@ -413,10 +413,10 @@ def _printed(
     counts = ", ".join(f"{verdicts.count(v)} {v}" for v in ("unique", "ambiguous", "lost"))
     if soon := sum(moment.withheld == UNCONFIRMED for moment in moments):
         counts += f" ({soon} of the ambiguous ones at one place that is not confirmed yet)"
-    metres = moments[-1].metres if moments else 0.0
+    way = way_words(moments[-1]) if moments else "0.0 m"
     walls = bent_words(moments[-1]) if moments else None
     about = [
-        f"{len(moments)} scans, {metres:.1f} m: {counts}", f"allows for {walls}" if walls else "",
+        f"{len(moments)} scans, {way}: {counts}", f"allows for {walls}" if walls else "",
         speed, live.latency if live else "",
     ]  # fmt: skip
     return moments, "; ".join(filter(None, about))

@@ -21,7 +21,7 @@ from imgloc.filters.motion import (
     stands,
 )
 from imgloc.filters.repeats import Repeats, dragged, frozen, smooth
-from imgloc.filters.scanodometry import ScanOdometry
+from imgloc.filters.scanodometry import APART, ScanOdometry
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
@@ -56,7 +56,9 @@ class Moment:
     stamp: float  #: stamp of the scan, seconds; NaN when unknown
     age: float  #: seconds since the last scan that was not blind
     looked: bool  #: whether this scan weighed the whole belief
-    metres: float  #: metres driven since the first scan, by odometry
+    #: metres driven since the first scan, by odometry; NaN if it is not known: scans alone, which
+    #: were too far apart, told the motion
+    metres: float
     belief: Belief
     #: why a pose that holds the mass is withheld: ``blind`` (this scan says nothing), ``wide`` (the
     #: pose's standard deviation is above the limit), ``unconfirmed`` (too few scans along too short
@@ -183,6 +185,10 @@ def follow(
 # Index, scan, odometry, stamp.
 _Steps = Iterator[tuple[int, LaserScan, FloatArray | None, float]]
 BY_SCANS = "it has no odometry that moves, so the scans alone tell the motion"
+FAR_APART = (
+    "scan {} comes {:.3g} s after the one before: without odometry, scans more than {:g} s apart "
+    "tell no motion, so the length of the way is unknown. Record odometry, or more scans a second"
+)
 
 
 def _coming(scans: Iterable[Reading], name: str) -> _Steps:
@@ -359,6 +365,10 @@ class Follower:
         waited = max(0.0, float(np.nan_to_num(stamp - self._stamp)))
         self._count, self._odom, self._stamps[scan.laser] = k + 1, odom, stamp
         self._stamp = stamp if np.isnan(stamp) else max(self._stamp, stamp)
+        if motion is not None and waited > APART:
+            if not np.isnan(self._metres):
+                LOG.warning("%s: %s", self.name, FAR_APART.format(k, waited, APART))
+            self._metres = np.nan
         repeats = self._repeats[scan.laser]
         self._move(step, covariance, known=motion is None or not motion.lost)
         looked = self._take(scan, laser, repeats.since(scan), waited)

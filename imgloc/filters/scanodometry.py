@@ -30,7 +30,9 @@ from imgloc.search.refine import block_sums
 
 # Standard deviations of a velocity of which nothing is known, m/s and rad/s, and the seconds after
 # which nothing is known of it any more.
-_SPEED, _TURN, _FORGOTTEN = number("scanodometry.speed")
+_SPEED, _TURN, _FORGOTTEN, _LONGEST = number("scanodometry.speed")
+APART: float = _LONGEST
+"""Seconds between two scans beyond which they show no motion: half of the steps are wrong."""
 # A new reference is taken after such a way, or if no more than this share of a scan agrees with it.
 _FAR, _TURNED, _KEPT = number("scanodometry.reference")
 _WIDTHS = number("scanodometry.widths")  # of the robust kernel, metres: one for each step

@@ -227,7 +227,7 @@ def _lines(path: PathLike) -> list[tuple[int, str]]:
 def _choose(counts: Counter[str], topic: str | None, name: str) -> str:
     """The laser asked for, else the front one."""
     if not counts:
-        expected = "expected FLASER, ROBOTLASER1 or RAWLASER1 as a CARMEN log has"
+        expected = "expected FLASER, ROBOTLASER1 or RAWLASER1 in a .log; tables are .csv or .txt"
         raise ScanError(f"{name}: no line of a laser, {expected}")
     if topic is None:
         return next((word for word in _PREFERRED if word in counts), min(counts))

@@ -34,10 +34,11 @@ _SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
 _PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
 _BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
 _DEGREE = math.pi / 180
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "deg": _DEGREE, "degrees": _DEGREE, "grad": _DEGREE, "ms": 1e-3,
-          "us": 1e-6, "ns": 1e-9}  # fmt: skip
+_UNITS = {"mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "ms": 1e-3,
+          "us": 1e-6, "ns": 1e-9, "deg": _DEGREE, "°": _DEGREE, "grad": _DEGREE}  # fmt: skip
 _UNIT = re.compile(
-    r"[\s_.(\[]+(mm|cm|m|metres|meters|deg|degrees|grad|rad|radians|ms|us|ns|s|sec)[)\]]?$"
+    r"(?:[\s_.(\[/]|\bin\b|_in_)+(?:(mm|cm|m|ft|°|grad|rad|ms|us|ns|s|sec)|(deg)(?:rees?)?|"
+    r"radians?|(milli|centi)?met(?:re|er)s?)[)\]]?$"
 )
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
 _ROLES = (
@@ -78,7 +79,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     the known pose of the sensor, ``odom_x``, ``odom_y``, ``odom_theta`` the odometry, the robot's
     pose in its own frame; all others are ranges in order, whose names are alike. The columns of
     ``rostopic echo -p``, ``ros2 topic echo --csv``, bagpy and PlotJuggler are known, also those of
-    a nav_msgs/Odometry. A file with
+    a nav_msgs/Odometry, and the lines that ``ultra_simple`` of RPLIDAR's SDK prints. A file with
     columns such as ``angle`` and ``range``, ``angle_deg`` and ``distance_mm``, or with just two
     columns of numbers, has one reading a line. Empty cells are NaN. Broken lines are left out, up
     to the share `max_bad`, as is a last one that was cut off.
@@ -96,7 +97,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
             body.append((where, cells_of(text)))
     if not body:
         raise ScanError(f"{name}: contains no scan, expected one per line")
-    body = _unpacked(body)
+    body = _unpacked(_revolutions(body))
     table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
     if _is_echo(body[0][1]):
         return table.echoed()
@@ -111,8 +112,6 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         table.settings = {**settings, "angles": angles}
     elif len(names) != len(first) or any(map(_is_number, names)):
         names = []
-    if not body:
-        raise ScanError(f"{name}: contains no scan, expected one per line")
     return table.read(names, fov)
 
 
@@ -130,6 +129,23 @@ def cells_of(text: str) -> list[str]:
     if '"' in text:
         return [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True))]
     return [cell.strip() for cell in text.split(",")] if "," in text else text.split()
+
+
+def _revolutions(body: list[Row]) -> list[Row]:
+    """The rows, or those that RPLIDAR's SDK prints as a table: degrees clockwise, millimetres.
+
+    A line is ``theta: 1.20 Dist: 02349.00 Q: 47``, with an S before it where a turn begins, and a
+    distance of 0 where the ray met nothing. Lines before the first one are about the device.
+    """
+    said = [cells[-6:] for _, cells in body]
+    known = [cells[::2] == ["theta:", "Dist:", "Q:"] for cells in said]
+    if not any(known):
+        return body
+    rows = [["-" + c[1], c[3] if c[3].strip("0.") else "inf"] if k else []
+            for c, k in zip(said, known, strict=True)]  # fmt: skip
+    begin, places = known.index(True), [where for where, _ in body]
+    head = places[0], ["angle_deg", "distance_mm"]
+    return [head, *zip(places[begin:], rows[begin:], strict=True)]
 
 
 def _unpacked(body: list[Row]) -> list[Row]:
@@ -166,12 +182,20 @@ def role_of(name: str) -> tuple[str, int, float]:
     bare = name[: unit.start()] if unit else name
     for pattern, role in _ROLES:
         if found := pattern.fullmatch(name) or (pattern.fullmatch(bare) if unit else None):
-            measured = unit and role in ("angle", "range", "time")
-            factor = _UNITS.get(unit[1], 1.0) if unit and measured else 1.0
+            factor = _factor(unit) if role in ("angle", "range", "time") else 1.0
             if role in ("time", "stamp") and name.startswith(("%", "field.")):  # rostopic echo -p
                 factor = _UNITS["ns"]
             return role or str(found[2]), 0, factor
     return (name, 0, 1.0) if name in _BESIDE else ("", 0, 1.0)
+
+
+def _factor(unit: re.Match[str] | None) -> float:
+    return next((_UNITS[u] for u in unit.groups() if u in _UNITS), 1.0) if unit else 1.0
+
+
+def _metres(name: str) -> float:
+    """Metres that 1 stands for in one of several columns of ranges, such as ``r0 [mm]``."""
+    return _factor(re.search(r"[\W_](mm|cm|ft)[\W_\d]*$", name))
 
 
 @dataclass
@@ -196,7 +220,7 @@ class _Table:
             return self._readings(by, roles)
         if not ranges and "angle" in by:
             self._parse(None, names)
-            return self._columns(by["angle"], roles[by["angle"]][2])
+            return self._columns(by["angle"], roles[by["angle"]][2], names)
         if not ranges and {"x", "y"} <= set(names) <= {"x", "y", "z", "intensity"}:
             expected = "columns angle and range: atan2(y, x) in radians, hypot(x, y) in metres"
             raise ScanError(
@@ -232,8 +256,9 @@ class _Table:
                 raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
             self.settings["angles"] = spread(len(ranges), fov)
         entries = list[Entry]()
+        unit = _metres(names[ranges[0]]) if names and ranges else 1.0
         for where, row in self.rows:
-            values = row[ranges]
+            values = row[ranges] * unit
             if "angle_min" in by and np.isnan(row[by["angle_min"]]) and np.isnan(values).all():
                 continue  # of another topic
             more = {key: row[at] if at else None for key, at in places.items()}
@@ -295,9 +320,9 @@ class _Table:
         around = abs(angles[-1] - angles[0]) + abs(angles[1] - angles[0])
         return bool(angles.min() < -0.1 or abs(around - math.tau) < 0.02)
 
-    def _columns(self, at: int, unit: float) -> ScanSet:
+    def _columns(self, at: int, unit: float, names: Sequence[str] = ()) -> ScanSet:
         """The scans of a table with a column of angles, and a column for each scan."""
-        table = np.array([row for _, row in self.rows])
+        table = np.array([row for _, row in self.rows]) * ([*map(_metres, names)] or 1.0)
         angles = table[:, at] * unit
         if unit == 1.0 and np.abs(angles).max() > 2 * math.tau:
             angles = np.deg2rad(angles)
@@ -355,7 +380,9 @@ class _Table:
             where = self.name if len(starts) == 1 else self.rows[a][0]
             found = {"angles": angles[a:b], "ranges": ranges[a:b], "stamp": stamp}
             entries.append((where, {**self.settings, **found}))
-        return collect(entries, self.name, self.bad if len(starts) > 1 else None)
+        return collect(
+            entries, self.name, BadLines(self.name, self.bad.most) if starts[1:] else None
+        )
 
     def echoed(self) -> ScanSet:
         """The scans of what ``ros2 topic echo --csv`` prints: the fields without their names."""
@@ -376,8 +403,7 @@ class _Table:
                 ranges = np.array(rays[:count])
                 entries.append((where, {**said, "ranges": ranges, "stamp": stamp}))
             except (ScanError, IndexError) as error:
-                error = ScanError(str(error))
-                self.bad.skip(error, where if entries and where == self.cut else "")
+                self.bad.skip(ScanError(str(error)), where if entries and where == self.cut else "")
         return collect(entries, self.name, self.bad)
 
 

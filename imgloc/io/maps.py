@@ -258,8 +258,8 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
 
 SWAPPED = (
     "free space is as thin as walls, and walls are as wide as rooms: black and white look "
-    "swapped; where the YAML has negate: 1 or true, try `negate=False`, else `negate=True` with "
-    "`occupied_thresh=0.9`"
+    "swapped; where `negate=True` was passed leave it out, where the YAML has negate: 1 or true "
+    "try `negate=False`, else `negate=True` with `occupied_thresh=0.9`"
 )
 SLIP = "the map is {wide:,.0f} x {high:,.0f} m: is this in centimetres? Try `resolution={metres:g}`"
 _THICK = 0.3  # metres, half of what no wall is as thick as

@@ -54,9 +54,9 @@ from imgloc.io.scanset import (
     ScanSet,
     ScansSize,
     check_size,
+    covers,
     numbers,
     scan_set,
-    spread,
     stated,
     wrong,
 )
@@ -136,7 +136,7 @@ def _read(kind: "_Kind", path: PathLike, how: Logs) -> ScanSet:
     if how.height is not None and "height" not in kind.takes:
         _LOG.warning(NO_CLOUDS, name, "the file", extra={"code": "unused"})
     first = scans[0].angles
-    if how.fov is not None and abs(np.ptp(first) - np.ptp(spread(len(first), how.fov))) > 0.01:
+    if how.fov is not None and not covers(first, how.fov):
         text = "%s: `fov` is not used: the file contains its angles, %.4g to %.4g degrees"
         _LOG.warning(text, name, *np.rad2deg(first[[0, -1]]), extra={"code": "unused"})
     lasers = Counter(scan.laser for scan in scans.scans if scan.laser)
@@ -245,9 +245,9 @@ SCAN_ENDINGS = (*(ending for ending in _KINDS if ending not in (".yaml", ".yml")
 # What files begin with whose name does not tell.
 _MAGIC = (
     (rb"PK\x03\x04", _NPZ), (rb"#ROSBAG V2", _BAG), (rb"SQLite format 3", _BAG),
-    (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD), (rb"\s*[{\[]", _JSON),
+    (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD),
     (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
-    (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
+    (rb"\s*(\{|\[\s*[\d{[])", _JSON), (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
     (rb"(?:\s*#[^\n]*\n)*\s*[-+.\w]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
@@ -322,7 +322,7 @@ def _kind_of(path: PathLike) -> _Kind:
             if re.match(pattern, head, re.MULTILINE):
                 return kind
     found = f"ending {display(ending)!r} is no scan format" if ending else "no known scan format"
-    raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)}")
+    raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)} or a table of numbers")
 
 
 def _refuse_spoken(path: PathLike) -> None:

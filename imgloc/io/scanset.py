@@ -400,6 +400,11 @@ def spread(count: int, fov: float) -> FloatArray:
     return np.linspace(-fov / 2, fov / 2, count, endpoint=not whole)
 
 
+def covers(angles: FloatArray, fov: float) -> bool:
+    """Return whether angles are as far from the first to the last as :func:`spread` has them."""
+    return bool(abs(np.ptp(angles) - np.ptp(spread(len(angles), fov))) <= 0.01)
+
+
 def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     """Check that the shapes agree, and cut the arrays into scans."""
     ranges = np.atleast_2d(arrays["ranges"])

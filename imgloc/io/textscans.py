@@ -17,15 +17,7 @@ from imgloc.io.bags import LASER, LEVEL, ODOMETRY, TF, Beside, choose_topic
 from imgloc.io.files import PathLike, display
 from imgloc.io.lasers import lasers_of
 from imgloc.io.messages import fields_of, frame_name, matrix_of, planar
-from imgloc.io.scanset import (
-    MAX_RAYS,
-    Entry,
-    ScanSet,
-    ScansSize,
-    collect,
-    reach_of,
-    scalar,
-)
+from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, collect, reach_of, scalar
 from imgloc.io.text import MAX_TEXT, open_text, read_text
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
@@ -268,6 +260,8 @@ def number_of(text: str, where: str) -> float:
         return float(text)
     except ValueError:
         hint = "; separate by commas, with decimal points" if re.search(r"[;\t ]", text) else ""
+        if where.endswith(": column 1") and not hint:
+            hint = "; a table has lines such as 90.0,1230 below one of angle_deg,distance_mm"
         raise ScanError(f"{where}: got {text[:40]!r}, expected a number{hint}") from None
 
 

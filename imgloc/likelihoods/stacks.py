@@ -26,11 +26,7 @@ class Stack(Protocol):
         """The stack of a scan, in the sensor frame, on a map."""
 
 
-def likelihood(
-    features: MapFeatures,
-    scan: LaserScan,
-    options: Options | str,
-) -> Likelihood:
+def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -> Likelihood:
     """Compute the full stack of one of the paper's methods.
 
     Parameters

@@ -50,7 +50,4 @@ def draw_checked(path: Path, reading: Reading) -> dict[str, bytes]:
     return {"map": encode_picture(draw_map(load_map(path, allow_lossy=True, **reading)).image)}
 
 
-DRAWINGS: Mapping[str, Drawing] = {
-    "answer": draw_answer,
-    "map": draw_checked,
-}
+DRAWINGS: Mapping[str, Drawing] = {"answer": draw_answer, "map": draw_checked}

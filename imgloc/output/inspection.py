@@ -141,7 +141,9 @@ def _on_map(facts: Mapping[str, Any]) -> str:
     if not tried:
         return "no scan to try"
     ends = "" if new is None else f"; {100 * new:.0f} % of their rays end where the map is empty"
-    return f"{tried} scan{'s' if tried > 1 else ''} tried: {verdicts}{ends}"
+    sure, none = (2 * facts["on_map"][verdict] > tried for verdict in ("unique", "no-match"))
+    agrees = "good" if sure else "poor" if none else "undecided"
+    return f"{agrees}, {tried} scan{'s' if tried > 1 else ''} tried: {verdicts}{ends}"
 
 
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:

@@ -81,7 +81,13 @@ def track_line(moment: Moment, *, best: bool = False) -> str:
     guess = "guess" if p is not None and moment.pose is None else ""
     verdict = ": ".join(filter(None, (moment.belief.verdict, guess or moment.withheld)))
     head = f"{moment.index:>6} {moment.stamp:>14.3f}  {verdict:<22}"
-    return f"{head} {place} {100 * mass:>7.1f}% {moment.metres:>9.2f}"
+    way = "-" if math.isnan(moment.metres) else f"{moment.metres:.2f}"
+    return f"{head} {place} {100 * mass:>7.1f}% {way:>9}"
+
+
+def way_words(moment: Moment) -> str:
+    """The way since the first scan, if it is known."""
+    return "unknown way" if math.isnan(moment.metres) else f"{moment.metres:.1f} m"
 
 
 def track_header() -> str:
@@ -294,7 +300,7 @@ class Video:
         others = int(np.count_nonzero(belief.mass[1:] >= _DRAWN))
         more = f"{others} other place{'s' * (others > 1)}" if others else moment.withheld
         words = ", ".join(filter(None, (belief.verdict, more)))
-        self._words.set_text(f"{about}{moment.metres:.1f} m: {words}")
+        self._words.set_text(f"{about}{way_words(moment)}: {words}")
         line = self._line()
         frame[-len(line) :, : line.shape[1]] = line
         self._writer.write(frame)

@@ -20,7 +20,7 @@ from imgloc.model import BoolArray, FloatArray, LaserScan, Localization, Occupan
 from imgloc.options import FUSED, TOLERANCES, Drawn, Known, Length, Options, Prior, Tolerance
 from imgloc.pipeline import localize_many
 from imgloc.runs.jobs import Answer, Item, Job, compared
-from imgloc.runs.opening import Desk, ScanFiles, Taken
+from imgloc.runs.opening import LOG, Desk, ScanFiles, Taken
 from imgloc.search.priors import prior_of
 
 
@@ -50,6 +50,10 @@ class Localize(Job):
     def open(self, item: Item, desk: Desk) -> "Locating":
         """Read the scans and the map of an item."""
         taken, path = desk.scans(item.scans_path, self.scans), item.path
+        timed = any(scan.time_increment for scan in taken.scans.scans)
+        if (self.options.max_speed or self.options.max_turn) and not timed:
+            text = "%s: `max_speed` and `max_turn` change nothing: the scans have no time_increment"
+            LOG.warning(text, taken.name, extra={"code": "unused"})
         options = replace(self.options, threads=desk.threads, memory_budget=desk.memory_budget)
         features = desk.features(path, self.maps, options, cell=self.cell, scans=taken.scans.scans)
         if options.calibration is None:

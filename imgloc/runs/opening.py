@@ -89,7 +89,7 @@ class ScanFiles(Logs):
     @property
     def given(self) -> Given:
         """Settings of the scans that a diagnosis needs."""
-        return Given(self.flipped, self.scale)
+        return Given(self.flipped, self.scale, fov=self.fov)
 
     def mounted(self, scan: LaserScan) -> LaserScan:
         """The scan in metres, of an upright sensor with this reach that is mounted so."""

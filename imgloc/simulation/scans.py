@@ -190,7 +190,8 @@ def sample_free_poses(
     if not len(rows):
         raise MapError(
             f"no free cell of the map is {clearance} m away from everything that is not free; "
-            "expected some free space, hint: a smaller clearance or another free_thresh"
+            "expected some: does imgloc map check find negate and free_thresh right? Where places "
+            "are narrow, pass a smaller `clearance`"
         )
 
     def robots(draw: int) -> FloatArray:

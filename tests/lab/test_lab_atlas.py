@@ -202,10 +202,7 @@ def test_the_more_places_fit_the_redder() -> None:
 def test_the_legend_counts(tmp_path: Path) -> None:
     free = np.ones((30, 30), bool)
     grid = OccupancyGrid(~free, free, 0.1)
-    spots = [
-        spot(Pose2D(1.0, 1.0), "ambiguous", Pose2D(2.0, 2.0)),
-        spot(Pose2D(2.0, 1.0), "wrong"),
-    ]
+    spots = [spot(Pose2D(1.0, 1.0), "ambiguous", Pose2D(2.0, 2.0)), spot(Pose2D(2.0, 1.0), "wrong")]
     picture = draw_atlas(grid, spots, step=0.5, headings=1)
     low = round(float(picture.pixels(np.zeros((1, 2)))[0, 1])) + 40
     legend = picture.image[low:]

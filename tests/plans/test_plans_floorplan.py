@@ -12,37 +12,14 @@ from cabin import cabin
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.images import encode_png
 from imgloc.model import BoolArray, Pose2D
-from imgloc.plans.building import (
-    KINDS,
-    THICKEST,
-    FloorPlan,
-    enclosed,
-    inside_of,
-    standing,
-)
+from imgloc.plans.building import KINDS, THICKEST, FloorPlan, enclosed, inside_of, standing
 from imgloc.plans.doors import Door
 from imgloc.plans.files import load_plan
-from imgloc.plans.floorplan import (
-    STEPS,
-    _kinds,
-    _pen,
-    _sheet,
-    _swings,
-    plan_to_map,
-)
+from imgloc.plans.floorplan import STEPS, _kinds, _pen, _sheet, _swings, plan_to_map
 from imgloc.plans.masks import opened
 from tools.plans.drawing import Image, draw_plan, inside, solid
 from tools.plans.measure import shares_found
-from tools.plans.sheets import (
-    Sheet,
-    drawn,
-    framed,
-    inked,
-    padded,
-    photographed,
-    titled,
-    turned,
-)
+from tools.plans.sheets import Sheet, drawn, framed, inked, padded, photographed, titled, turned
 
 CELL = 0.05
 
@@ -181,10 +158,7 @@ def title_near(plan: Image) -> None:
 
 @pytest.mark.parametrize(
     "frame",
-    [
-        title_near,
-        lambda plan: cv2.rectangle(plan, (117, 57), (689, 489), 0, 5),
-    ],
+    [title_near, lambda plan: cv2.rectangle(plan, (117, 57), (689, 489), 0, 5)],
     ids=["title block near", "lines along two walls"],
 )
 def test_a_frame_may_be_near_the_building(frame: Callable[[Image], None]) -> None:

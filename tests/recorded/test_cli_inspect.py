@@ -127,6 +127,7 @@ class Case(NamedTuple):
 DISTURBED = {
     "millimetres": Case(ranged(lambda s: 1000 * s.ranges), "units"),
     "centimetres": Case(ranged(lambda s: 100 * s.ranges), "units"),
+    "stamps in milliseconds": Case(lambda s: replace(s, stamps=1000 * s.stamps), "stamps"),
     "a code and no range_max": Case(ranged(coded(45.5), range_max=math.inf), "codes"),
     "a code below range_max": Case(ranged(coded(9.5)), "codes"),
     "a code that jitters": Case(

@@ -135,10 +135,7 @@ def test_answers_are_measured(case):
         (["--repeats", "0"], "repeats must be at least 1, got 0"),
         (["--threads", "0"], "threads must be at least 1, got 0"),
         (["--scans", "0"], "scans must be at least 1, got 0"),
-        (
-            ["--parts", "cost"],
-            "expected one of costs, localize, command, huge, got 'cost'",
-        ),
+        (["--parts", "cost"], "expected one of costs, localize, command, huge, got 'cost'"),
     ],
 )
 def test_the_tool_refuses_nonsense(words, expected, capsys):

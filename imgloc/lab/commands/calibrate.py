@@ -11,17 +11,7 @@ from imgloc.cli.command import Given, Only, Without
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import (
-    METHODS,
-    Cell,
-    Chosen,
-    Logs,
-    Mounting,
-    Options,
-    Reach,
-    Seed,
-    Sensor,
-)
+from imgloc.options import METHODS, Cell, Chosen, Logs, Mounting, Options, Reach, Seed, Sensor
 from imgloc.ranges import Within, option
 from imgloc.texts import names
 
