@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -130,11 +131,7 @@ def which(
     """
     expect(maps, Mapping, "maps")
     options = options or OPTIONS
-    index = index_of(maps)
-
-    def bounds(scan: LaserScan) -> dict[str, float]:
-        return dict(zip(maps, index.bounds(scan, options).tolist(), strict=True))
-
+    bounds = partial(bounds_at, index_of(maps), [1.0] * len(maps), options=options)
     (fits,) = search([scan], maps, bounds, lambda name: nullcontext((maps[name], options)))
     return choose(fits, ruled_out=len(maps) - len(fits))
 
