@@ -412,8 +412,6 @@ def stack_cases(features: MapFeatures, scan: LaserScan, threads: int) -> list[Ca
         more = f"auto, {threads} threads"
         cases.append((f"cbml {more}", unit, work, partial(plain, threads=threads)))
         cases.append((f"cbml-o {more}", unit, work, partial(oriented, threads=threads)))
-    best = partial(plain, where=features.free)
-    cases.append(("cbml auto, free cells, argmax", unit, work, lambda: int(best().argmax())))
     return cases
 
 
