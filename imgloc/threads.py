@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar, copy_context
+from threading import Event
 from typing import TypeVar
 
 Unit = TypeVar("Unit")
@@ -48,7 +49,13 @@ def over_slices(
     if threads <= 1:
         work(while_wanted(units))
         return
-    with ThreadPoolExecutor(threads) as pool:
-        shares = [while_wanted(units[i::threads]) for i in range(threads)]
-        for future in [pool.submit(copy_context().run, work, share) for share in shares]:
+    asked, ended, context = wanted.get(), Event(), copy_context()
+    context.run(wanted.set, lambda: asked() and not ended.is_set())
+    pool = ThreadPoolExecutor(threads)
+    shares = [while_wanted(units[i::threads]) for i in range(threads)]
+    try:
+        for future in [pool.submit(context.copy().run, work, share) for share in shares]:
             future.result()
+    finally:  # where one fails, or somebody stops it, the others end at their next step
+        ended.set()
+        pool.shutdown()

@@ -63,24 +63,10 @@ def bent(grid):
     return replace(grid, occupied=occupied, free=grid.free & ~occupied)
 
 
-def furnished(grid):
-    """The world with a box for each 2 square metres of its room."""
-    occupied, rng = grid.occupied.astype(np.uint8), np.random.default_rng(3)
-    free = np.argwhere(grid.free)
-    for row, column in rng.choice(free, int(len(free) * grid.resolution**2 / 2)).tolist():
-        high, wide = rng.integers(20, 60, 2).tolist()
-        cv2.rectangle(occupied, (column, row), (column + wide, row + high), 1, -1)
-    return replace(grid, occupied=occupied > 0, free=grid.free & (occupied == 0))
-
-
 def walls_in(features, scans=None):
     """What scans of the world say together about the walls of a map."""
-    evidence = [
-        wall_evidence(features, found.readings, found.poses, Options())
-        for found in (
-            pipeline.find_modes(features, scan, Options()) for scan in scans or world()[1].scans
-        )
-    ]
+    found = [pipeline.find_modes(features, s, Options()) for s in scans or world()[1].scans]
+    evidence = [wall_evidence(features, f.readings, f.poses, Options()) for f in found]
     return walls_of(np.array(evidence), Shared(1.02))
 
 
@@ -143,10 +129,14 @@ def test_scans_tell_together_what_walls_a_map_has():
 
 
 def test_furniture_that_no_map_shows_is_no_bent_wall():
+    grid, rng = render(WORLDS["curved"](), 0.01), np.random.default_rng(3)
+    occupied, free = grid.occupied.astype(np.uint8), np.argwhere(grid.free)
+    for row, column in rng.choice(free, len(free) // 20_000).tolist():  # one for two square metres
+        high, wide = rng.integers(20, 60, 2).tolist()
+        cv2.rectangle(occupied, (column, row), (column + wide, row + high), 1, -1)
+    there = replace(grid, occupied=occupied > 0, free=grid.free & (occupied == 0))
     sensor = Sensor(fov=2 * np.pi, rays=181, range_max=30.0)
-    there = furnished(render(WORLDS["curved"](), 0.01))
-    scans = simulate(there, 6, 4, sensor, there).scans
-    assert walls_in(features(), scans) == Shared(1.02)
+    assert walls_in(features(), simulate(there, 6, 4, sensor, there).scans) == Shared(1.02)
 
 
 def test_what_is_known_of_the_walls_is_kept_where_scans_say_no_more():

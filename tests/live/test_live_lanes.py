@@ -2,6 +2,8 @@
 
 import asyncio
 import threading
+import time
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from imgloc.live.lanes import Lane, Piece
 from imgloc.live.problems import Refused
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import METHODS, Options
-from imgloc.threads import Unwanted
+from imgloc.threads import Unwanted, over_slices
 
 WALLS = np.pad(np.zeros((1400, 1400), bool), 3, constant_values=True)
 SCAN = LaserScan(np.linspace(1, 8, 181), np.linspace(-1.5, 1.5, 181), range_max=30.0)
@@ -46,13 +48,24 @@ def test_the_likelihood_of_each_method_is_stopped_where_it_runs(method: str, thr
     assert ends == [Unwanted]
 
 
+def test_where_one_thread_fails_the_others_end_at_their_next_step() -> None:
+    seen = list[int]()
+
+    def work(share: Iterable[int]) -> None:
+        for unit in share:
+            seen.append(unit)
+            time.sleep(0.01 * bool(100 // unit))
+
+    with pytest.raises(ZeroDivisionError):
+        over_slices(work, range(2_000), 2)
+    assert len(seen) < 900
+
+
 def test_work_that_is_stopped_before_it_begins_does_not_begin() -> None:
-    done = list[int]()
-    piece = Piece(lambda: done.append(1))
+    piece = Piece(pytest.fail)
     piece.stop()
     with pytest.raises(Unwanted):
         piece()
-    assert done == []
 
 
 def test_a_client_that_fills_a_lane_gives_places_to_others() -> None:
