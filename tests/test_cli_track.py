@@ -319,7 +319,7 @@ def test_scans_alone_tell_the_motion_of_a_log_without_odometry(log: Path, tmp_pa
     bare = tmp_path / "bare.npz"
     np.savez(bare, **data)
     run = call("track", MAP, bare)
-    run.ends(0, "bare.npz: it has no odometry that moves, so the scans alone tell the motion")
+    run.ends(0, "bare.npz: no odometry that moves is used: the scans alone tell the motion")
     asked = call("track", MAP, log, "--odom", "scans")
     assert (asked.code, asked.out) == (0, run.out)
     assert "more scans a second" not in run.err

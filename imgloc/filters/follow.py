@@ -184,7 +184,7 @@ def follow(
 
 # Index, scan, odometry, stamp.
 _Steps = Iterator[tuple[int, LaserScan, FloatArray | None, float]]
-BY_SCANS = "it has no odometry that moves, so the scans alone tell the motion"
+BY_SCANS = "no odometry that moves is used: the scans alone tell the motion"
 FAR_APART = (
     "scan {} comes {:.3g} s after the one before: without odometry, scans more than {:g} s apart "
     "tell no motion, so the length of the way is unknown. Record odometry, or more scans a second"
