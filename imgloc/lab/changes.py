@@ -191,7 +191,7 @@ def sure_poses(answers: Sequence[Localization]) -> tuple[list[int], FloatArray]:
 
 
 def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> str | None:
-    """A sentence about a map that has aged; None if it has not, or too little was looked at.
+    """A sentence about a map whose walls are gone; None if they stand, or too few were in view.
 
     The scans are in metres of the map, the `poses` (N, 3) of their sensors in the map frame, both
     sure. At most 100 of them are looked at, evenly spread.
@@ -202,8 +202,9 @@ def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArra
     found = map_changes(grid, [scans[k] for k in some], poses[some])
     if found.seen_m < _HINT_WALLS or found.gone_share < _HINT_GONE:
         return None
-    share = f"{100 * found.gone_share:.0f} % of the walls that scans at sure poses look at are gone"
-    return f"the map has aged: {share}. imgloc map changes MAP SCANS shows where"
+    passed = f"scans at sure poses pass {100 * found.gone_share:.0f} % of the walls in view"
+    why = "the map is old, has a wrong resolution, or is of another place"
+    return f"{passed}: {why}. imgloc map changes MAP SCANS shows where"
 
 
 def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> Changes:
