@@ -191,7 +191,7 @@ _MAP: Mapping[str, tuple[str, ...]] = {
         "Find where a map has aged: walls that rays pass (gone), surfaces where it has none (new).",
         "imgloc map changes office.yaml run.log --out aged.png",
         "imgloc map changes office.yaml monday.bag tuesday.bag --update office-mended.yaml",
-        "imgloc map changes office.yaml scans.npz --sample 100 --json",
+        "imgloc map changes office.yaml scans.npz --range-max 20 --json",
     ),
     "plan": (
         "Make a map of a floor plan: walls as they stand, doors open, nothing else.",

@@ -9,7 +9,7 @@ from imgloc.cli.command import Only
 from imgloc.cli.console import LOG, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import FUSED, Cell, Chosen, Count, Mounting, Options, Seed
+from imgloc.options import FUSED, Cell, Chosen, Count, Options, Seed
 from imgloc.ranges import option
 
 _MOST = 10_000_000  # poses in all
@@ -22,12 +22,10 @@ def sample(
     out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
     search: Annotated[Options, Only("method", "theta_step")],
     reading: opt.MapSize,
-    logs: opt.LogTaken,
-    chosen: Chosen,
+    chosen: Annotated[Chosen, Only("index")],
     taken: opt.Resources,
     count: Count = option(500, "Poses that are drawn for each scan.", "-n", "--count"),
     seed: Seed = 0,
-    mounting: Annotated[Mounting, Only("flipped")],
     cell: Cell = 0.1,
     force: opt.Force = False,
 ) -> None:
@@ -49,7 +47,7 @@ def sample(
     desk = inputs.desk_of(**vars(taken))
     maps = inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=True)
-    asked = desk.scans(scans_path, inputs.as_recorded(logs, chosen, mounting))
+    asked = desk.scans(scans_path, inputs.as_recorded(chosen=chosen))
     total = len(asked.indices)
     if count * total > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {total:,} scans are more than {_MOST:,}")

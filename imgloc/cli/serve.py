@@ -19,7 +19,7 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.live.bounds import Bounds
-from imgloc.model import LaserScan, Pose2D
+from imgloc.model import Pose2D
 from imgloc.options import Chosen, Logs, Mounting, Options
 from imgloc.ranges import Option, Within, declared, option
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
     from imgloc.live.localizer import Localizer
     from imgloc.live.service import Begun
-    from imgloc.runs.opening import Taken
 
 PORT = 8080
 _NEEDED = ("starlette", "uvicorn", "websockets", "python_multipart", "prometheus_client")
@@ -86,7 +85,7 @@ def serve(
 def open(  # noqa: A001 (the command's name)
     *,
     map_path: opt.MapPath,
-    logs: Logs,
+    logs: opt.LogTaken,
     chosen: Chosen,
     mounting: Mounting,
     reading: opt.MapImages,
@@ -112,9 +111,12 @@ def open(  # noqa: A001 (the command's name)
         there = inputs.desk_of(**vars(taken)).scans(scans_path, how)
         chosen_few = None if len(there.indices) == there.total else tuple(there.indices)
         opened = ScansHeld(
-            there.name, _recorded(there, logs, mounting), options=_passed(typed, Logs, vars(logs)),
-            indices=chosen_few, taken=_taken(logs, mounting),
-        )  # fmt: skip
+            there.name,
+            _recorded(there.recorded, mounting),
+            options=_passed(typed, Logs, vars(logs)),
+            indices=chosen_few,
+            taken=_taken(logs, mounting),
+        )
     core, begun = _core([map_path], reading, taken, kept, typed)
 
     def show(address: str) -> None:
@@ -134,20 +136,11 @@ def _taken(logs: Logs, mounting: Mounting) -> dict[str, Any]:
     return {**said, "sensor": sensor, "flipped": mounting.flipped or None}
 
 
-def _recorded(there: "Taken", logs: Logs, mounting: Mounting) -> "ScanSet":
+def _recorded(recorded: "ScanSet", mounting: Mounting) -> "ScanSet":
     """The scans as the page has them before it applies how they were taken, which it may change."""
-
-    def back(scan: LaserScan, recorded: LaserScan) -> LaserScan:
-        if mounting.sensor is not None:
-            recorded = replace(recorded, T_base_laser=None)
-        if logs.straighten == "no":
-            return recorded
-        scan = scan.flipped if mounting.flipped else scan
-        ranges, pace = scan.ranges / logs.scale, scan.time_increment
-        return replace(recorded, ranges=ranges, angles=scan.angles, time_increment=pace)
-
-    scans = tuple(map(back, there.scans.scans, there.recorded.scans))
-    return replace(there.recorded, scans=scans)
+    if mounting.sensor is None:
+        return recorded
+    return replace(recorded, scans=tuple(replace(s, T_base_laser=None) for s in recorded.scans))
 
 
 def _passed(

@@ -12,7 +12,6 @@ from imgloc.filters.follow import Moment, Tracking, follow, moves
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.changes import sure_poses
 from imgloc.model import FloatArray, LaserScan, Pose2D, compose
-from imgloc.options import Chosen
 from imgloc.runs.localize import Locating
 from imgloc.runs.opening import held_bytes
 
@@ -55,12 +54,11 @@ class Once:
 
 
 def some_of(run: Locating, most: int, once: Once | None = None) -> Locating:
-    """At most so many scans of a file, evenly spread, unless they are chosen.
+    """At most so many scans of a file, evenly spread.
 
     With `once` none that a file before had.
     """
-    if run.job.scans.chosen == Chosen():
-        run = run.some(evenly(len(run), most).tolist())
+    run = run.some(evenly(len(run), most).tolist())
     if once is not None:
         run = run.some(once.new(run.taken.scans.scans, run.taken.name))
     run.desk.held += held_bytes(run.taken.scans.scans)
@@ -72,7 +70,7 @@ def placed(run: Locating, most: int, once: Once) -> Placed:
 
     Where a map has changed, few scans are sure of a place by themselves.
     """
-    if run.job.scans.chosen == Chosen() and moves(run.taken.scans):
+    if moves(run.taken.scans):
         return _followed(run, most, once)
     located = list(some_of(run, most, once))
     sure, poses = sure_poses([one.of for one in located])

@@ -58,9 +58,9 @@ def test_scans_that_fit_nowhere_alone_calibrate_a_map_together(bent: Path) -> No
     ("words", "expected"),
     [
         (["--scans", "log.npz", "--rays", 90], "--rays: is for calibrate without --scans"),
-        (["--topic", "/scan"], "--topic: is for calibrate --scans"),
+        (["--scans-index", "3"], "--scans-index: is for calibrate --scans"),
         (["--scans", "log.npz", "--scans-index", 99], "--scans-index: got 99, expected 0 to 23"),
-        (["--scans", "log.npz", "--range-scale", 0], "--range-scale: got 0"),
+        (["--range-scale", 0], "--range-scale: is no option here; imgloc convert LOG scans.npz"),
     ],
 )
 def test_calibrate_reads_a_log_as_localize_does(
@@ -71,12 +71,13 @@ def test_calibrate_reads_a_log_as_localize_does(
     assert expected in " ".join(run.err.split())
 
 
-def test_calibrate_is_told_how_a_log_is_read(thick: Path) -> None:
+def test_calibrate_takes_what_convert_has_made(thick: Path) -> None:
     recorded = load_scans(thick / "log.npz")
     mirrored = tuple(scan.flipped.scaled(1000) for scan in recorded.scans)
     save_scans(thick / "mm.npz", replace(recorded, scans=mirrored))
-    words = ("--flipped", "--range-scale", 0.001, "--scans-index", "::4", "--dry-run", "--json")
-    run = call("calibrate", thick / "map.yaml", "--scans", thick / "mm.npz", *words).ends(0)
-    (found,) = rows(run.out)
+    made = thick / "made.npz"
+    call("convert", thick / "mm.npz", made, "--flipped", "--range-scale", 0.001).ends(0)
+    words = ("--scans", made, "--scans-index", "::4", "--dry-run", "--json")
+    (found,) = rows(call("calibrate", thick / "map.yaml", *words).ends(0).out)
     assert found["asked"] == N // 4
     assert found["shared"]["thinner"] == THICK

@@ -82,17 +82,6 @@ def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
     assert votes["parameters"]["method"] == "ght-v"
 
 
-def test_recorded_scans_of_a_sensor_upside_down(scans: Path, tmp_path: Path) -> None:
-    data = dict(np.load(scans))
-    data["angles"] = -data["angles"]
-    np.savez(tmp_path / "flipped.npz", **data)
-    words = ("curved", "--method", "fused", "--threads", 1, "--scans")
-    (told,) = evaluated(*words, tmp_path / "flipped.npz", "--flipped", "--range-max", 20_000)
-    (upright,) = evaluated(*words, scans)
-    assert told["success"] == upright["success"]
-    assert (told["source"]["flipped"], upright["source"]["flipped"]) == (True, False)
-
-
 def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> None:
     grid, recorded = load_map(CURVED), load_scans(scans)
     assert recorded.poses is not None
@@ -166,7 +155,7 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
         (["--method", "cbml,cmbl"], 2, "--method: got 'cmbl', expected fused,cbml,"),
         (["--cell", "x"], 2, "--cell: got 'x', expected metres"),
         (["--tolerance", "0.3"], 2, "--tolerance: got '0.3', expected 2 numbers"),
-        (["--flipped"], 2, "--flipped: is for evaluate --scans, not"),
+        (["--flipped"], 2, "--flipped: is no option here; imgloc convert LOG scans.npz"),
         (["--sample", "3"], 2, "--sample: is for evaluate --scans, not"),
         (["-n", "1000000"], 2, "-n: got 1000000"),
         (["--sensor", "99,0,0"], 2, "--sensor: got 99,0: 99 m from the robot's base"),
@@ -218,8 +207,5 @@ def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(tmp_path: 
     run = call("evaluate", "curved", "--scans", half, "--method", "fused").ends(0)
     assert run.err.splitlines()[-1] == mine
     assert "Try --range-scale 2, or" in mine
-    mended = ("--range-scale", 2, "--json", "--method", "fused")
-    (row,) = rows(call("evaluate", "curved", "--scans", half, *mended).out)
-    assert row["success"][-1]["at_1"]["hits"] == 2
     run = call("evaluate", "curved", "--scans", away, "--method", "fused")
     assert "the recorded poses do not match this map" in run.err.splitlines()[-1]

@@ -9,10 +9,9 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import NOT_UNIQUE, emit, say
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Chosen, Mounting
 from imgloc.ranges import Option, option
 
-_SCANS = 24  # of a file, unless they are chosen
+_SCANS = 24  # of a file
 
 
 def align(
@@ -23,8 +22,8 @@ def align(
     ],
     scans: Path | None = option(
         None,
-        "Locate scans of this file in both maps, too: they must differ by one transform. [default: "
-        f"no scans; without --scans-index or --sample {_SCANS} scans, evenly spread]",
+        f"Locate scans of this file in both maps, too, {_SCANS} at most, evenly spread: they must "
+        "differ by one transform. [default: no scans]",
         metavar="SCANS",
         parse=opt.find_scans,
     ),
@@ -50,9 +49,6 @@ def align(
         metavar="YAML",
     ),
     reading: opt.MapImages,
-    logs: opt.LogTaken,
-    chosen: Chosen,
-    mounting: Mounting,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 6 unless one place alone matches."),
@@ -88,7 +84,7 @@ def align(
     paths, by_scans = (a_path, b_path), None
     grids = [desk.grid(path, maps, usable=True) for path in paths]
     if scans is not None:
-        job = Localize(maps=maps, scans=inputs.as_recorded(logs, chosen, mounting))
+        job = Localize(maps=maps, scans=inputs.as_recorded())
         items = [inputs.item_of(path, scans) for path in paths]
         answers = [[one.of for one in some_of(job.open(item, desk), _SCANS)] for item in items]
         by_scans = align_scans(list(zip(*answers, strict=True)))

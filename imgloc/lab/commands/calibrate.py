@@ -27,9 +27,7 @@ _OF = {
     **dict.fromkeys(("--rays", "--sigma", "--outliers", "--dropped", "--clearance"), (_SIMULATED,)),
     **dict.fromkeys(("--method", "-n", "--count", "--seed", "--theta-step-deg"), (_SIMULATED,)),
     "--cell": (_SIMULATED,),
-    "--topic": (_RECORDED,),
-    "--range-scale": (_RECORDED,),
-    **dict.fromkeys(("--scans-index", "--sample", "--flipped"), (_RECORDED,)),
+    "--scans-index": (_RECORDED,),
 }
 
 
@@ -43,9 +41,8 @@ def calibrate(
     ),
     given: Given,
     sensor: Annotated[Sensor, Without("fov", "range_max", "mount")],
-    logs: Annotated[Logs, Only("topic", "scale")],
-    chosen: Chosen,
-    mounting: Mounting,
+    chosen: Annotated[Chosen, Only("index")],
+    mounting: Annotated[Mounting, Only("sensor")],
     reading: opt.MapSize,
     taken: opt.Resources,
     scans: list[Path] | None = option(
@@ -106,7 +103,7 @@ def calibrate(
     targets = _targets(maps, paths, dry_run=dry_run, force=force)
     read = inputs.map_files(reading)
     if scans is not None:
-        how = inputs.as_recorded(replace(logs, fov=fov, range_max=range_max), chosen, mounting)
+        how = inputs.as_recorded(Logs(fov=fov, range_max=range_max), chosen, mounting)
         _with_scans(paths, scans, how, read, taken, as_json, dry_run, force)
         return
     laser: dict[str, Any] = {"fov": fov, "range_max": range_max, "mount": mounting.sensor}

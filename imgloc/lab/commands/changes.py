@@ -1,16 +1,17 @@
 """`imgloc map changes`: where a map has aged."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Only
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, map_name
-from imgloc.options import Chosen, Logs, Mounting
+from imgloc.options import Logs, Mounting
 from imgloc.ranges import option
 
-_SCANS = 300  # of a file, unless they are chosen
+_SCANS = 300  # of a file
 
 
 def changes(
@@ -29,8 +30,7 @@ def changes(
         metavar="YAML",
     ),
     reading: opt.MapSize,
-    logs: Logs,
-    chosen: Chosen,
+    logs: Annotated[Logs, Only("topic", "range_max")],
     mounting: Mounting,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
@@ -42,8 +42,8 @@ def changes(
     A log with odometry is followed from anywhere; else each scan is located without a guess. Only
     those that are unique count. A change needs 3 scans from 2 places or times, so passers-by are
     not counted. Of a file with more than 300 such scans 300 are taken, evenly spread.
-    --scans-index or --sample chooses scans, which are located one by one. A scan counts
-    once: one with the same stamp, ranges and angles as another, in a file before, is left out.
+    A scan counts once: one with the same stamp, ranges and angles as another, in a file before, is
+    left out.
     """
     import numpy as np
 
@@ -66,7 +66,7 @@ def changes(
     for path, ending in ((out, ".png"), (update, ".yaml"), (png, ".png")):
         inputs.check_target(path, ending, force=force, inputs=read)
     desk = inputs.desk_of(**vars(taken), cache=folder)
-    files = inputs.as_recorded(logs, chosen, mounting)
+    files = inputs.as_recorded(logs, mounting=mounting)
     job = Localize(maps=inputs.map_files(reading), scans=files)
     grid = desk.grid(map_path, job.maps, usable=True)
     once = Once()

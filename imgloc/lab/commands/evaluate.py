@@ -34,7 +34,7 @@ _SIMULATED, _RECORDED = "evaluate without --scans", "evaluate --scans"
 _OF = {
     **dict.fromkeys(("--rays", "--fov-deg", "--sigma", "--outliers", "--dropped"), (_SIMULATED,)),
     **dict.fromkeys(("--clearance", "--sensor", "-n", "--count", "--seed"), (_SIMULATED,)),
-    **dict.fromkeys(("--flipped", "--range-scale", "--scans-index", "--sample"), (_RECORDED,)),
+    **dict.fromkeys(("--scans-index", "--sample"), (_RECORDED,)),
 }
 
 
@@ -48,10 +48,9 @@ def evaluate(
         parse=lambda path: _map_of(path),
     ),
     sensor: Annotated[Sensor, Without("range_max", "mount")],
-    mounting: Mounting,
+    mounting: Annotated[Mounting, Only("sensor")],
     reading: opt.MapSize,
     chosen: Chosen,
-    logs: Annotated[Logs, Only("scale")],
     taken: opt.Resources,
     method: tuple[str, ...] = option(
         ALL_METHODS,
@@ -100,8 +99,7 @@ def evaluate(
     laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
     if scans is None:
         sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
-    recorded = replace(logs, range_max=range_max)
-    how = inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped))
+    how = inputs.as_recorded(Logs(range_max=range_max), chosen)
     table, notes = list[dict[str, Any]](), list[str]()
     with warned(also_printed=True) as said:
         for k, path in enumerate(maps):
@@ -169,9 +167,7 @@ def _recorded(path: Path, how: "ScanFiles", desk: "Desk") -> "tuple[ScanSet, dic
         )
     chosen = how.chosen
     source: dict[str, Any] = {"scans": taken.name, "sample": chosen.sample}
-    source |= {"sample_seed": chosen.seed}
-    source |= {"range_max": how.range_max, "flipped": how.flipped}
-    source |= {} if how.scale == 1 else {"range_scale": how.scale}
+    source |= {"sample_seed": chosen.seed, "range_max": how.range_max}
     return taken.scans, source | ({} if chosen.index is None else {"index": chosen.index})
 
 

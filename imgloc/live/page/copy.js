@@ -106,15 +106,12 @@ export function script(state) {
 
 /** The scan as it was taken: what `load_scans` does not do, is done after it. */
 function scanLines({ taken: { flipped, range_max: cut, range_scale: scale, sensor }, set }, file, index) {
-  const straight = ([typed]) => typed.startsWith("--straighten="), own = set.options.filter((one) => !straight(one));
   const reach = cut && String(Number(cut) / Number(scale || 1)); // in the unit of the file
   const given = [...(cut ? [["", `range_max=${reach}`]] : []), ...(sensor ? [["", `sensor=imgloc.Pose2D(${sensor})`]] : [])];
-  const lines = [`scans = imgloc.load_scans(${python(file)}${passedOf([...own, ...given])})`, `scan = scans[${index}]`];
+  const lines = [`scans = imgloc.load_scans(${python(file)}${passedOf([...set.options, ...given])})`, `scan = scans[${index}]`];
   if (scale) lines.push(`scan = scan.scaled(${scale})  # metres`);
   if (flipped) lines.push("scan = scan.flipped");
   if (cut) lines.push("from dataclasses import replace", `scan = replace(scan, range_max=min(scan.range_max, ${cut}))`);
-  const [way] = set.options.filter(straight).map(([typed]) => typed.split("=")[1]).filter((one) => one !== "no");
-  if (way) lines.push(`scan = scan.straightened(scans.velocities[${index}], backward=${way === "backward" ? "True" : "False"})`);
   return lines;
 }
 

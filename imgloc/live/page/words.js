@@ -6,7 +6,10 @@ const CONTROLS = {
 };
 const READING = { topic: CONTROLS.topic }; // while a file is read: the others act later
 const METRES = ["range_max", "range_scale"];
-const OPENS = ["allow_lossy", "fov", "height", "max_bad", "negate", "odom", "range_max", "sensor"]; // that imgloc open takes
+const TAKES = { // commands that take an option
+  allow_lossy: "open", fov: "open", negate: "open", range_max: "open", sensor: "open",
+  height: "convert", max_bad: "convert", odom: "convert",
+};
 const OPTIONS = { fov: "fov-deg", index: "scans-index", theta_step: "theta-step-deg" }; // that are called otherwise
 const ARGUMENT = /`([a-z_]+)(?:=([^`\s]+))?`/g;
 const ADVICE = /\b(try|leave out|pass) (`[^`]+`(?: `[^`]+`)*)/gi;
@@ -32,8 +35,8 @@ export function inWords(text, reading = false) {
     const said = given.map(([name, value]) => deed(controls[name], /out/i.test(verb), name, value)).join(" and ");
     return /^[A-Z]/.test(verb) ? said[0].toUpperCase() + said.slice(1) : said;
   });
-  const opens = [...advised.matchAll(ARGUMENT)].find(([, name]) => OPENS.includes(name) && !controls[name]);
-  const more = opens ? ` The page has no control for it; imgloc open takes ${option(opens[1], opens[2])}.` : "";
+  const other = [...advised.matchAll(ARGUMENT)].find(([, name]) => TAKES[name] && !controls[name]);
+  const more = other ? ` The page has no control for it; imgloc ${TAKES[other[1]]} takes ${option(other[1], other[2])}.` : "";
   const named = advised.replace(ARGUMENT, (_, name, value) => controls[name] ?? option(name, value));
   const said = named.replace(/^(\w+)(?=: got )/, (key) => controls[key] ?? key);
   return more ? said.replace(/\.?$/, ".") + more : said;
