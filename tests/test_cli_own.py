@@ -386,56 +386,6 @@ def test_an_index_is_not_inflated(folder: Path) -> None:
     assert peak < 1 << 25
 
 
-# The journal of an atlas.
-
-GOOD = [1.0, 1.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0]
-
-
-@pytest.mark.parametrize(
-    "row",
-    [
-        [1], {}, 5, ["x", *GOOD[1:]], [*GOOD[:3], "odd", *GOOD[4:]], [*GOOD[:7], 1.0, *GOOD[8:]],
-        [HUGE, *GOOD[1:]], GOOD[:-1],
-    ],
-)  # fmt: skip
-def test_a_journal_that_was_edited(atlas: tuple[list, str], tmp_path: Path, row: object) -> None:
-    words, head = atlas
-    part = tmp_path / "a.png.part"
-    text = f"{head}\n{json.dumps(row)}\n"
-    part.write_text(text)
-    refused("a.png.part: cannot be used to go on from: ", *words, "--out", tmp_path / "a.png")
-    assert part.read_text() == text
-
-
-@needs_pipes
-def test_a_journal_that_is_no_file(atlas: tuple[list, str], tmp_path: Path) -> None:
-    words, head = atlas
-    victim, part = tmp_path / "victim", tmp_path / "a.png.part"
-    victim.write_text(head)
-    part.symlink_to(victim)
-    refused("a.png.part: is a link", *words, "--out", tmp_path / "a.png")
-    assert victim.read_text() == head
-    part.unlink()
-    os.mkfifo(part)
-    refused("a.png.part: is a pipe", *words, "--out", tmp_path / "a.png")
-    part.unlink()
-    part.write_text(f"{head}\n{'[' * 100_000}\n")
-    refused("nested too deeply", *words, "--out", tmp_path / "a.png")
-
-
-@pytest.fixture(scope="module")
-def atlas(made: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[object], str]:
-    """A survey, and the first line of its journal."""
-    words = ["atlas", made / "maps" / "post.yaml", "--step", 2, "--headings", 1, "--workers", 1]
-    out = tmp_path_factory.mktemp("atlas") / "a.png"
-    part = out.with_name("a.png.part")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("imgloc.lab.atlas.survey", lambda *_, **__: iter(()))
-        patch.setattr("imgloc.lab.picture.draw_atlas", lambda *_, **__: 1 / 0)
-        assert call(*words, "--out", out).code == 1
-    return words, part.read_text().splitlines()[0]
-
-
 # An entry of the cache.
 
 

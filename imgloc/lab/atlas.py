@@ -1,5 +1,8 @@
 """The atlas of a map: where one scan is enough. A scan is simulated and located at every place."""
 
+import csv
+import io
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +22,11 @@ from imgloc.runs.workers import Supervised
 from imgloc.search.priors import clearance as roomy
 from imgloc.simulation.scans import ray_angles, refine_grid, simulate_ranges
 
+COLUMNS = (
+    "x", "y", "theta", "kind", "mass", "error", "turn", "twin_x", "twin_y", "twin_theta",
+    "twin_mass", "places",
+)  # fmt: skip
+"""Columns of the table: map frame, metres and radians; `kind` is one of :data:`KINDS`."""
 KINDS = ("unique", "ambiguous", "no-match", "wrong")
 """Results of a scan: ``unique`` means unique and right, ``wrong`` means unique but elsewhere."""
 NEAR = (0.5, float(np.deg2rad(15.0)))
@@ -44,20 +52,28 @@ class Spot:
 
     @property
     def row(self) -> list[object]:
-        """Values of :data:`imgloc.lab.atlas_rows.COLUMNS`."""
+        """Values of :data:`COLUMNS`."""
         twin = (None,) * 3 if self.twin is None else (self.twin.x, self.twin.y, self.twin.theta)
         pose = (self.pose.x, self.pose.y, self.pose.theta)
         found = (self.mass, self.error, self.turn, *twin, self.twin_mass, self.places)
         return [*pose, self.kind, *found]
 
-    @classmethod
-    def of(cls, row: Sequence[Any]) -> "Spot":
-        """The spot of a row; numbers that a journal leaves empty become NaN."""
-        mass, error, turn = (float("nan") if v is None else float(v) for v in row[4:7])
-        twin = None if row[7] is None else Pose2D(*row[7:10])
-        return cls(
-            Pose2D(*row[:3]), str(row[3]), mass, error, turn, twin, float(row[10]), int(row[11])
-        )
+
+def as_csv(spots: Sequence[Spot]) -> str:
+    """A row of each spot below the names of :data:`COLUMNS`. NaN is left empty.
+
+    Examples
+    --------
+    >>> nan = float("nan")
+    >>> as_csv([Spot(Pose2D(1.0, 2.5), "no-match", 0.0, nan, nan, None, 0.0)]).split()[1]
+    '1.0,2.5,0.0,no-match,0.0,,,,,,0.0,1'
+    """
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    rows = (["" if isinstance(v, float) and math.isnan(v) else v for v in s.row] for s in spots)
+    writer.writerows(rows)
+    return out.getvalue()
 
 
 def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: float) -> FloatArray:

@@ -1,22 +1,16 @@
-"""The localizability atlas: places, kinds, twins, the journal, the picture and the command."""
+"""The localizability atlas: places, kinds, twins, the picture and the command."""
 
 import csv
-import json
-import os
-import signal
-import subprocess
-import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, call, command, rows
+from command import MAPS, call, rows
 
-from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import in_grid_frame
-from imgloc.lab.atlas import TOP, Spot, atlas_poses, survey, survey_part
-from imgloc.lab.atlas_rows import COLUMNS, Journal, as_csv
+from imgloc.lab.atlas import COLUMNS, TOP, Spot, as_csv, atlas_poses, survey, survey_part
 from imgloc.lab.picture import ATLAS_COLOURS, REDS, draw_atlas
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
@@ -116,57 +110,9 @@ def test_parts_of_a_survey_are_the_whole_whatever_their_length():
         survey_part(features, laser, Options(), step=0.05, headings=4)
 
 
-def row(x: float) -> list[object]:
-    return [x, 0.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0, 1]
-
-
-def test_a_journal_goes_on_after_a_cut_line(tmp_path: Path) -> None:
-    path = tmp_path / "a.part"
-    journal = Journal(path, {"step": 1})
-    journal.add([1.0, 0.0, 0.0, "no-match", 0.0, float("nan"), None, None, None, None, 0.0, 1])
-    journal.add(row(2.0))
-    journal.close()
-    path.write_text(path.read_text() + '[3.0, "half')
-    again = Journal(path, {"step": 1})
-    lost = [1.0, 0.0, 0.0, "no-match", 0.0, None, None, None, None, None, 0.0, 1]
-    assert again.rows == [lost, row(2.0)]
-    again.add(row(4.0))
-    again.close()
-    last = Journal(path, {"step": 1})
-    assert len(last.rows) == 3
-    last.close()
-    with pytest.raises(OutputError, match="another map or other options"):
-        Journal(path, {"step": 2})
-
-
-def test_no_stop_loses_a_whole_row(tmp_path: Path) -> None:
-    path, key = tmp_path / "a.part", {"step": 1}
-    journal = Journal(path, key)
-    for value in (1.0, 2.0):
-        journal.add(row(value))
-    journal.close()
-    content = path.read_bytes()
-    for end in range(len(content) + 1):
-        path.write_bytes(content[:end])
-        again = Journal(path, key)  # and is killed before it adds a row: nothing is closed
-        rows = max(0, content[:end].count(b"\n") - 1)
-        assert again.rows == [row(1.0), row(2.0)][:rows]
-        kept = path.read_bytes()
-        assert kept == b"".join(content.splitlines(True)[: 1 + rows])
-        again.close()
-
-
-def test_a_file_of_something_else_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "a.part"
-    for content in (b"half of a download", b'{"step": 2}\n[1]\n', b'{"step": 1}\nno row\n'):
-        path.write_bytes(content)
-        with pytest.raises(OutputError, match=r"another map|go on from"):
-            Journal(path, {"step": 1})
-        assert path.read_bytes() == content
-
-
 def test_csv_has_named_columns() -> None:
-    text = as_csv([(1.0, 2.0, 0.5, "no-match", 0.0, float("nan"), None, None, None, None, 0.0, 1)])
+    nan = float("nan")
+    text = as_csv([Spot(Pose2D(1.0, 2.0, 0.5), "no-match", 0.0, nan, nan, None, 0.0)])
     (row,) = csv.DictReader(text.splitlines())
     assert tuple(row) == COLUMNS
     assert (row["kind"], row["error"], row["twin_x"]) == ("no-match", "", "")
@@ -196,7 +142,6 @@ def test_the_more_places_fit_the_redder() -> None:
         image = draw_atlas(OccupancyGrid(~free, free, 0.1), some, step=1.0, headings=1).image
         shown = [(image == red).all(axis=2).sum() > 999 for _, red, _ in REDS]
         assert shown == [red == colour for _, red, _ in REDS]
-        assert Spot.of(some[0].row) == some[0]
 
 
 def test_the_legend_counts(tmp_path: Path) -> None:
@@ -227,41 +172,6 @@ def test_the_command_writes_a_picture_a_table_and_numbers(tmp_path: Path) -> Non
     assert cv2.imdecode(np.fromfile(png, np.uint8), cv2.IMREAD_COLOR).shape[1] >= 1000
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "a.png"]
     call(*ATLAS, "--out", png, "--json").ends(1, out="")
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_workers_do_not_outlive_a_run_that_is_killed(tmp_path: Path) -> None:
-    png = tmp_path / "a.png"
-    words = command([*ATLAS, "--step", "0.5", "--out", png, "--workers", "2"])
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
-        journal = tmp_path / "a.png.part"
-        while run.poll() is None and not (journal.exists() and b"\n" in journal.read_bytes()):
-            time.sleep(0.05)  # until the workers have worked
-        run.kill()
-        run.communicate(timeout=30)  # ends when nobody holds the pipes any more
-    assert run.returncode == -signal.SIGKILL
-    assert not png.exists()
-
-
-def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch) -> None:
-    png = tmp_path / "a.png"
-    stop = 5
-
-    def interrupted(*args, **kwargs):
-        for k, spot in enumerate(survey(*args, **kwargs)):
-            if k == stop:
-                raise KeyboardInterrupt
-            yield spot
-
-    monkeypatch.setattr("imgloc.lab.atlas.survey", interrupted)
-    run = call(*ATLAS, "--out", png, "--workers", 1)
-    assert run.code != 0
-    journal = (tmp_path / "a.png.part").read_text().splitlines()
-    assert len(journal) == 1 + stop
-    assert json.loads(journal[0])["headings"] == 2
-    monkeypatch.undo()
-    call(*ATLAS, "--out", png, "--workers", 1).ends(0, "going on after 5")
-    assert not (tmp_path / "a.png.part").exists()
 
 
 @pytest.mark.parametrize(

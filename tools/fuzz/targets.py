@@ -36,9 +36,6 @@ from imgloc.features.store import features_key, load_features, save_features
 from imgloc.io.cache import entry_path
 from imgloc.io.calibration import load_calibrations, save_calibrations
 from imgloc.io.scans import scans_size
-from imgloc.lab.atlas import Spot, summarise
-from imgloc.lab.atlas_rows import Journal, as_csv
-from imgloc.lab.picture import draw_atlas
 from imgloc.options import FILTERS
 from imgloc.output.export import as_bytes
 from imgloc.output.report import render_report
@@ -412,27 +409,6 @@ for _job in ("check", "localize", "which"):
     target(partial(_batch, _job, RESULTS), f"rows-{_job}")(partial(_look, _job, RESULTS))
 for _name in (RUN, SUMMARY):
     target(partial(_batch, "localize", _name), _name)(partial(_look, "localize", _name))
-
-_SURVEY = {"map": "0" * 40, "step": 1.0}
-
-
-def _part(path: Path) -> None:
-    journal = Journal(path, _SURVEY)
-    for twin in (None, imgloc.Pose2D(3.0, 1.0, 0.5)):
-        journal.add(Spot(imgloc.Pose2D(1, 2), "unique", 0.9, 0.01, np.nan, twin, 0.1).row)
-    journal.close()
-
-
-@target(_made("a.png.part", _part))
-def atlas_part(data: bytes, folder: Path) -> None:
-    """The survey that an atlas goes on from."""
-    journal = Journal(_written(data, folder / "input.part"), _SURVEY)
-    journal.close()
-    spots = [Spot.of(row) for row in journal.rows]
-    as_csv(journal.rows)
-    if spots:
-        summarise(spots, 1.0)
-    draw_atlas(ROOM, spots, step=1.0, headings=4)
 
 
 @target(

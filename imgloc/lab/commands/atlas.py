@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import emit, progress, say
+from imgloc.cli.console import emit, progress
 from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.options import Headings, MemoryBudget, Options, Seed, Sensor, Spacing
 from imgloc.ranges import option
@@ -39,12 +39,10 @@ def atlas(
 
     Simulates a scan at each place and heading and locates it without a guess: unique (one pose, the
     right one), ambiguous (several places fit, drawn red), no-match, or wrong (unique, but
-    elsewhere). An interrupted run goes on where it stopped: its rows are kept in PNG.part.
+    elsewhere).
     """
     from imgloc.cli import inputs
-    from imgloc.io.cache import cache_key
-    from imgloc.lab.atlas import Spot, simulate_at, summarise, survey
-    from imgloc.lab.atlas_rows import Journal, as_csv
+    from imgloc.lab.atlas import Spot, as_csv, simulate_at, summarise, survey
     from imgloc.lab.picture import draw_atlas
     from imgloc.lab.tables import atlas_text
     from imgloc.model import plain, to_json
@@ -57,25 +55,16 @@ def atlas(
     count = opt.count_threads(workers)
     poses, options = _poses(map_path, grid, desk, sensor, step, headings, count)
     about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(sensor))}
-    key = {"map": cache_key(grid, about)} | about
-    journal = Journal(out.with_name(out.name + ".part"), key)
-    if done := len(journal.rows):
-        say(f"going on after {done} of {len(poses)} poses")
-    try:
-        scans = simulate_at(grid, poses, sensor, seed, fine_image(map_path, grid))[done:]
-        with progress("atlas", len(scans), lines=False) as advance:
-            for spot in survey(grid, scans, options, workers=_useful(count, len(scans))):
-                journal.add(spot.row)
-                advance()
-    finally:
-        journal.close()
-    spots = [Spot.of(row) for row in journal.rows]
+    scans, spots = simulate_at(grid, poses, sensor, seed, fine_image(map_path, grid)), list[Spot]()
+    with progress("atlas", len(scans), lines=False) as advance:
+        for spot in survey(grid, scans, options, workers=_useful(count, len(scans))):
+            spots.append(spot)
+            advance()
     title = f"{map_name(map_path)}: is one scan enough? {len(spots):,} scans, {step:g} m apart"
     picture = draw_atlas(grid, spots, step=step, headings=headings, title=title)
     if csv is not None:
-        write_text_atomic(csv, as_csv(journal.rows), force=force)
+        write_text_atomic(csv, as_csv(spots), force=force)
     picture.save(out, force=force)
-    journal.remove()
     summary = summarise(spots, step) | about
     emit(to_json(summary) if as_json else atlas_text(summary))
 
