@@ -34,6 +34,8 @@ Share = Annotated[float, Within(0, 1, "a share")]
 Nats = Annotated[float, Within(0, math.inf, "nats")]
 SCALES = 0.5, 2
 """The least and the greatest factor on all readings that can be stated or found."""
+DEEPEST = 0.15
+"""Metres that readings may end behind, or before, the border of a wall, to be stated or found."""
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Count = Annotated[int, Within(1, 1e12, "")]
@@ -331,7 +333,7 @@ class Shared(Checked):
     #: standard deviation, metres, of the place of each piece of wall: a map drawn by others is bent
     bent: Annotated[float, Within(0, 1, "metres")] = 0.0
     #: metres behind the border of a wall's cells at which readings end; None if that is not known
-    depth: Annotated[float, Within(-0.15, 0.15, "metres")] | None = None
+    depth: Annotated[float, Within(-DEEPEST, DEEPEST, "metres")] | None = None
     #: misfit of scans at their true places on a map that others drew, nats per reading: as much
     #: says nothing against a place
     usual: Annotated[float, Within(0, 10, "nats")] = 0.0

@@ -602,7 +602,7 @@ def test_runs_are_the_same_every_time() -> None:
 
 
 def test_particles_are_as_many_as_they_need_to_be() -> None:
-    how = ParticleOptions(least=50, most=1500, cut=3)
+    how = ParticleOptions(least=50, most=1500)
     scans, features = piece(log(), range(9)), features_of(WORLD)
     particles = ParticleFilter(features, how=how)
     moments = list(follow(features, scans, particles))

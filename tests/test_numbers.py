@@ -18,7 +18,7 @@ ROOMS = ("search", "likelihoods", "filters", "answers", "choice")
 LEFT = {
     "how much is done at a time": (
         "_CHUNK _TOGETHER _LOOKUPS _FEW _LOOKS _CHUNK_CELLS _FIRST_CELLS"
-        " _BLOCK BLOCK_PAIRS BLOCK_COLUMNS TILE_CELLS TILE_WIDTH CELLS"
+        " _BLOCK BLOCK_PAIRS BLOCK_COLUMNS TILE_CELLS TILE_WIDTH CELLS MOST"
     ),
     "which engine is the faster one": (
         "FLAT_CELLS FLAT_PIECE SHIFT_SECONDS_PER_BYTE SHIFT_SECONDS_PER_CALL FLAT_SECONDS_PER_CALL"
@@ -29,7 +29,7 @@ LEFT = {
         " ALLOWED_ERROR _STEPS _MINUTE _FAR _erfc"
     ),
     "a unit, a pattern, nothing at all": ("_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"),
-    "a promise": "SCALES SHARES",
+    "a promise": "SCALES SHARES DEEPEST",
     "bounds of files, pictures, clocks": (
         "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),

@@ -33,8 +33,9 @@ from imgloc.numbers import number
 from imgloc.options import FUSED, NAMED, FusedOptions, Options, Trust
 from imgloc.pipeline import localize
 from imgloc.search.hypotheses import masses
+from imgloc.search.weigh import MODES
 
-OPTIONS = Options(top=number("choose.top"), fused=FusedOptions(strained=float("inf")))
+OPTIONS = Options(top=MODES, fused=FusedOptions(strained=float("inf")))
 """Options for comparing maps: many modes are listed, because evidence is summed over them.
 
 No shared error is allowed for, because every map would gain by one."""
@@ -53,7 +54,7 @@ FIRST: int = number("choose.first")
 """Number of maps that are searched to the end at first."""
 NEXT: int = number("choose.next")
 """Number of further maps to search at a time, while one of the last is among the best three."""
-MOST: int = number("choose.most")
+MOST = 2 * FIRST
 """Largest number of maps that are searched to the end."""
 Opened = tuple[MapFeatures, Options]  #: a map, and how scans are located in it
 NO_MAP = ("none", "undecided", "invalid")  #: verdicts that name no map

@@ -11,6 +11,7 @@ from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
 from imgloc.search.hypotheses import separated
+from imgloc.search.weigh import MODES
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
 
@@ -81,7 +82,6 @@ class Filter(Protocol):
 
 PLACE = number("belief.place")
 """Poses nearer than this, metres and radians, belong to one place."""
-_PLACES = number("belief.places")
 
 
 def one_place(a: Pose2D, b: Pose2D) -> bool:
@@ -127,7 +127,7 @@ def belief_of(
     >>> b.verdict, b.mass.tolist(), b.poses.round(2).tolist()[0]
     ('ambiguous', [0.8, 0.2], [0.04, 0.0, 3.13])
     """
-    picked, owner = separated(poses, _PLACES, distance=PLACE[0], angle=PLACE[1])
+    picked, owner = separated(poses, MODES, distance=PLACE[0], angle=PLACE[1])
     means, spreads, masses = [], [], []
     for place, first in enumerate(picked):
         mine = owner == place

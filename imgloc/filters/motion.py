@@ -20,7 +20,6 @@ from imgloc.options import Metres, Radians
 from imgloc.ranges import Checked, Within
 
 Alpha = Annotated[float, Within(0, 1e6, "a variance")]
-_STILL = number("motion.still")  # metres: below, the direction of a motion is noise
 # Metres and radians: a robot that has gone and turned less stands.
 _STANDS: tuple[float, float] = number("follow.stands")
 
@@ -131,7 +130,7 @@ def turn_go_turn(increment: FloatArray) -> FloatArray:
 def deviations(increment: FloatArray, noise: MotionNoise) -> FloatArray:
     """Standard deviations (..., 3) of first turn, distance and second turn: radians, m, radians."""
     first, go, second = np.moveaxis(turn_go_turn(increment), -1, 0)
-    still = go < _STILL
+    still = go < MotionNoise.floor[0]  # the direction of so short a motion is noise
     first, second = np.where(still, 0.0, first), np.where(still, wrap(first + second), second)
     # Driving backwards is no half turn.
     first, second = (np.minimum(np.abs(r), np.pi - np.abs(r)) for r in (first, second))

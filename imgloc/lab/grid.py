@@ -20,11 +20,11 @@ from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
-from imgloc.lab.scanned import ScannedFilter, ScannedOptions
+from imgloc.lab.scanned import SUDDENLY, ScannedFilter, ScannedOptions
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
-from imgloc.options import METHODS, Count, Metres, Nats, Options, Share
+from imgloc.options import METHODS, Count, Nats, Options, Share
 from imgloc.ranges import OneOf
 from imgloc.search.stacked import posterior_of
 
@@ -43,15 +43,13 @@ class GridOptions(ScannedOptions):
 
     #: method whose likelihood multiplies the belief on the whole map
     method: Annotated[str, OneOf(*METHODS)] = "ght-v"
-    #: least likelihood of a cell, as a share of a uniform one, so that no cell is ruled out
-    floor: Share = number("GridOptions.floor")
-    #: mass within a box above which only the box is computed
+    #: mass within a box above which only the box is computed; what is left, as a share of a uniform
+    #: likelihood, is the least one of a cell, so that none is ruled out
     box: Share = number("GridOptions.box")
     #: largest number of cells of the box, over all headings, that are scored one by one
     box_cells: Count = number("GridOptions.box_cells")
-    margin: Metres = number("GridOptions.margin")  #: metres around the box
     #: nats per reading by which the misfit may exceed the usual one before p(x | z) is mixed in
-    surprise: Nats = number("GridOptions.surprise")
+    surprise: Nats = SUDDENLY
     #: share of p(x | z) that is then mixed in: sensor resetting
     share: Share = number("GridOptions.share")
 
@@ -252,7 +250,7 @@ class GridFilter(ScannedFilter):
         if mix:
             self._resets += 1
             self._belief = (1 - self.how.share) * self._belief + self.how.share * posterior
-        self._belief *= (posterior / np.float32(uniform) + np.float32(self.how.floor)) ** new
+        self._belief *= (posterior / np.float32(uniform) + np.float32(1 - self.how.box)) ** new
         self._normalise()
 
     def _multiply_box(self, scan: LaserScan, new: float) -> None:
@@ -293,10 +291,10 @@ class GridFilter(ScannedFilter):
         self._room = np.inf
 
     def _sparse(self, reach: float = 0.0) -> None:
-        """Keep only the box around nearly all of the mass, with a margin in metres, if small."""
+        """Keep only the box around nearly all of the mass, and `reach` metres more, if small."""
         stack, ends = self._belief, []
         image = stack.sum(axis=0, dtype=np.float64)
-        tail, room = (1 - self.how.box) / 4, self.how.margin + reach
+        tail, room = (1 - self.how.box) / 4, self.options.fused.separation[0] + reach
         around = int(min(np.ceil(room / self.lattice.resolution), max(self.lattice.shape)))
         for axis, old in ((1, self._box[0]), (0, self._box[1])):
             sums = np.cumsum(image.sum(axis=axis))

@@ -6,7 +6,6 @@
   drawn from p(x | z) again.
 * As many particles as Fox's KLD bound asks for, by the bins of pose space that they fill;
   resampling with low variance, only once the weights have become uneven.
-* GHT-V every once in a while "to cut hypotheses based on the visibility constraints" (Sec. V).
 """
 
 from dataclasses import dataclass, replace
@@ -20,18 +19,13 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import sample_motion
-from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
+from imgloc.geometry import theta_bin, transform_poses, wrap
 from imgloc.lab.scanned import ScannedFilter, ScannedOptions
-from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
 from imgloc.options import ALL_METHODS, Count, Factor, Metres, Options, Radians, Share, Shared
 from imgloc.ranges import OneOf, Within
 from imgloc.search.hypotheses import first_in_cell
-from imgloc.search.stacked import posterior_of
-
-# Density, relative to a uniform posterior, that GHT-V leaves a particle that it rules out.
-_FLOOR = number("particle.floor")
 
 
 @dataclass(frozen=True)
@@ -50,8 +44,6 @@ class ParticleOptions(ScannedOptions):
     alphas: tuple[Share, Share] = number("ParticleOptions.alphas")
     #: factor by which the short mean may lie below the long one without a reset
     slack: Factor = number("ParticleOptions.slack")
-    #: scans between two cuts by GHT-V; 0 for none
-    cut: Annotated[int, Within(0, 1e6, "scans")] = number("ParticleOptions.cut")
     #: standard deviations of particles that are drawn again, metres and radians
     jitter: tuple[Metres, Radians] = number("ParticleOptions.jitter")
 
@@ -116,7 +108,6 @@ class ParticleFilter(ScannedFilter):
         self._rng = np.random.default_rng(seed)
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)
         self._means: dict[str, tuple[float, float]] = {}  # of each laser, long and short
-        self._looks = 0
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
@@ -135,7 +126,7 @@ class ParticleFilter(ScannedFilter):
             self.poses = self._new(scan, how.most)
             self.weights = np.full(len(self.poses), 1 / len(self.poses))
         seen = sight(self.features, view_of(scan, self._few), self.poses, self._few)
-        log = seen.log_likelihood * new + self._cut(scan)
+        log = seen.log_likelihood * new
         weights = self.weights * np.exp(log - log.max())
         self.weights = weights / weights.sum()
         # The mean has the present weights, so particles from the last reset count little.
@@ -171,23 +162,6 @@ class ParticleFilter(ScannedFilter):
         drawn = sample_poses(self.features, scan, n, self._rng, how)
         poses = transform_poses(inverse(self.features.grid.origin), drawn)
         return view_of(scan, self.options).robot(poses)
-
-    def _cut(self, scan: LaserScan) -> FloatArray:
-        """Nats that GHT-V takes from the particles, every once in a while."""
-        self._looks += 1
-        if not self.how.cut or self._looks % self.how.cut:
-            return np.zeros(len(self.poses))
-        options = replace(self.options, method="ght-v")
-        stack = likelihood(self.features, scan, options)
-        posterior = posterior_of(self.features, scan, stack, options)
-        poses = view_of(scan, options).sensor(self.poses)
-        cells = cell_of(poses[:, :2], self.features.lattice.resolution)
-        there = inside(cells, self.features.lattice)
-        k = theta_bin(poses[:, 2], len(stack.thetas))
-        density = np.zeros(len(cells))
-        density[there] = posterior[k[there], cells[there, 0], cells[there, 1]]
-        uniform = 1 / max(1, len(stack.thetas) * int(np.count_nonzero(self.features.free)))
-        return np.asarray(np.minimum(0.0, np.log(density / uniform + _FLOOR)))
 
     @property
     def _best(self) -> FloatArray:

@@ -9,12 +9,16 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Belief, Followed, belief_of
 from imgloc.filters.evidence import misfit_near, usable, view_of
 from imgloc.filters.motion import MotionNoise, way_of
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Length, Metres, Nats, Options, Share, Step
 from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import drawn_thick
+
+MORE, SUDDENLY = TrackerOptions.surprise
+"""Nats per reading more than usual, and more than in the scan before, that are a surprise."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class ScannedOptions(Checked):
     #: metres for which a place must be the best one before it is ``unique``
     sure: Metres = number("ScannedOptions.sure")
     #: nats per reading by which the misfit of a ``unique`` place may exceed the usual one
-    surprise: Nats = number("ScannedOptions.surprise")
+    surprise: Nats = MORE
     #: largest misfit, nats per reading, at which the filter is not ``lost``
     misfit: Nats = number("ScannedOptions.misfit")
 

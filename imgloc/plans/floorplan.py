@@ -39,7 +39,7 @@ _DENSE = number("floorplan.dense")
 _THINNER = number("floorplan.thinner")
 _CORNERS = number("floorplan.corners")
 _WINDOW = number("floorplan.window")
-_LETTER = number("floorplan.letter")
+_LETTER = LEAVES[0]  # metres that a letter is high at most: no leaf is as narrow
 _FLAT = number("floorplan.flat")
 STEPS = 1 + len(building.THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 

@@ -21,7 +21,7 @@ from imgloc.features.scanpoints import Readings
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray
 from imgloc.numbers import number
-from imgloc.options import Shared
+from imgloc.options import DEEPEST, Shared
 from imgloc.search.refine import DAMPING, MAX_STEP, block_sums
 
 # Mean and standard deviation of the depth on a map of which nothing is known, and the standard
@@ -29,7 +29,6 @@ from imgloc.search.refine import DAMPING, MAX_STEP, block_sums
 _DEPTH, _KNOWN = number("faces.depth"), number("faces.known")
 _GRAZING = number("faces.grazing")  # cosine below which a reading says nothing of a face
 _WIDTHS = number("faces.widths")  # of the robust kernel, metres
-_DEEPEST = number("faces.deepest")  # that a face may lie behind the border of its wall, metres
 _LEAST = number("faces.least")  # least residual that counts, metres
 _SMOOTH = number("faces.smooth")  # slope of the field below which its direction is of no wall
 
@@ -41,7 +40,7 @@ def depth_of(shared: Shared) -> tuple[float, float]:
 
 def any_depth() -> tuple[float, float]:
     """Mean and standard deviation, metres, of a depth that a scan is to determine on its own."""
-    return _DEPTH[0], _DEEPEST
+    return _DEPTH[0], DEEPEST
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +83,8 @@ def faces_met(poses: FloatArray, readings: Readings, features: MapFeatures) -> F
     facing = -(nx * ux + ny * uy)
     before = distance - (rho - held) * facing
     # How thick the wall is, from its border inward. Fine maps take no more than 20 steps.
-    step = max(cell / 2, _DEEPEST / 10)
-    inward = (np.arange(np.ceil(2 * _DEEPEST / step)) + 0.5)[:, None, None] * step + distance
+    step = max(cell / 2, DEEPEST / 10)
+    inward = (np.arange(np.ceil(2 * DEEPEST / step)) + 0.5)[:, None, None] * step + distance
     wall = field.lookup(x + held * ux - inward * nx, y + held * uy - inward * ny)[0] < 0
     thick = np.logical_and.accumulate(wall, axis=0).sum(axis=0) * step
     J = np.stack((nx, ny, rho * (ux * ny - uy * nx)), axis=1)
@@ -132,7 +131,7 @@ def on_faces(
         b[:, 3] += strength * (deep - mean)
         step = np.linalg.solve(A, b[..., None])[..., 0]
         moved -= np.clip(step[:, :3], -MAX_STEP[:3], MAX_STEP[:3])
-        deep = np.clip(deep - step[:, 3], -_DEEPEST, _DEEPEST)
+        deep = np.clip(deep - step[:, 3], -DEEPEST, DEEPEST)
     poses = poses + moved
     poses[:, 2] = wrap(poses[:, 2])
     return Settled(poses, deep, *met.residuals(moved, deep), met.usable)

@@ -17,10 +17,10 @@ from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid, Pose2D
 from imgloc.numbers import number
-from imgloc.options import Hint, Known, Prior
+from imgloc.options import FusedOptions, Hint, Known, Prior
 
-SLIP = number("priors.slip")
-"""How far outside of the prior a refined pose may lie and be brought back: metres, radians."""
+SLIP = FusedOptions.separation
+"""How far outside of the prior a refined pose, as one hypothesis, may lie and be brought back."""
 _REACH = number("priors.reach")  # the same in cells, for maps finer than 5 mm
 ASTRAY = number("priors.astray")
 """Weight of poses far from all hints, because hints may be wrong; at a hint it is 1."""
