@@ -87,18 +87,6 @@ def test_the_true_pose_is_the_maximum(k, row, col):
     assert np.unravel_index(values.argmax(), values.shape) == (k, row, col)
 
 
-def test_theta_plus_phi_wraps():
-    stack = ray_distances(room(), 0.1, 36, 5.0)
-    thetas = uniform_thetas(np.deg2rad(10))
-    ranges, angles = np.array([0.4, 0.9]), np.array([-3.0, 3.1])
-    args = (np.isfinite(ranges), thetas)
-    reference = beam(stack, ranges, angles, *args)
-    np.testing.assert_array_equal(beam(stack, ranges, angles + 2 * np.pi, *args), reference)
-    # Turning all rays by one step turns the headings by one step back.
-    turned = beam(stack, ranges, angles + np.deg2rad(10), *args)
-    np.testing.assert_array_equal(turned, np.roll(reference, -1, axis=0))
-
-
 def test_a_reading_behind_a_mapped_wall_costs_more_than_one_in_front():
     stack = np.full((1, 1, 1), 200, np.uint16)
     one = np.array([True])
@@ -115,28 +103,6 @@ def test_the_influence_of_a_reading_is_bounded():
     values = beam(stack, np.array([59.0]), np.zeros(1), one, np.zeros(1))
     assert values[0, 0, 0] == pytest.approx(np.log(0.1 / 10), abs=1e-3)
     assert values[0, 0, 1] == pytest.approx(np.log(0.2 / 10), abs=1e-3)
-
-
-def test_missing_readings_are_neutral():
-    stack = np.array([[[100, 799, 800, 3000]]], np.uint16)
-    ranges = np.array([np.nan, np.inf, -np.inf, 0.0])
-    assert not beam(stack, ranges, np.zeros(4), np.zeros(4, bool), np.zeros(1)).any()
-
-
-def test_beams_add_and_their_order_does_not_matter():
-    rng = np.random.default_rng(4)
-    stack = ray_distances(room(), 0.1, 24, 5.0)
-    thetas = uniform_thetas(np.deg2rad(15))
-    ranges, angles = rng.uniform(0.05, 1.5, 20), rng.uniform(-3, 3, 20)
-
-    def values(index):
-        r, a = ranges[index], angles[index]
-        return beam(stack, r, a, np.isfinite(r), thetas)
-
-    np.testing.assert_allclose(
-        values(slice(0, 9)) + values(slice(9, 20)), values(slice(None)), atol=1e-4
-    )
-    np.testing.assert_allclose(values(rng.permutation(20)), values(slice(None)), atol=1e-4)
 
 
 @pytest.mark.parametrize("shape", [(4, 1), (1, 4), (4, 4), (5, 3), (700, 300)])

@@ -97,13 +97,12 @@ def test_cbml_refuses_a_bmap_that_is_not_one(value):
 
 
 @every_engine
-@pytest.mark.parametrize("shape", [(6, 8), (5, 7), (1, 4)])
-def test_cbml_o_equals_algorithm_3_on_its_directions(engine, shape):
-    vmap, points = random_case(4, shape)
+@settings(max_examples=15)
+@given(seed=seeds, shape=st.sampled_from([(6, 8), (5, 7), (1, 4)]))
+def test_cbml_o_equals_algorithm_3_on_its_directions(engine, seed, shape):
+    vmap, points = random_case(seed, shape)
     step = 2 * np.pi / 64
     points = oriented(points.xy, np.rint(points.alpha / step) * step, points.valid)
-    assert 0 < points.valid.sum() < len(points)
-    assert np.isnan(points.alpha).any()
     thetas = uniform_thetas(np.pi / 4) + 8 * np.pi
     stack = cbml_o(vmap, points, thetas, 0.1, engine=engine)
     # The shift engine rounds each projection to a step of 1/127.
@@ -191,37 +190,6 @@ def test_refuses_a_vmap_that_is_not_one():
     for value in (0.75, 1.2, np.nan):  # both components: 0.75 is a length of 1.06
         with pytest.raises(ValueError, match="length"):
             cbml_o(np.full((2, 3, 4), value, np.float32), points, ONE, 0.1)
-
-
-@settings(max_examples=20)
-@given(seeds, st.sampled_from(EXACT))
-def test_turning_the_field_turns_the_answer(seed, engine):
-    vmap, points = random_case(seed, (5, 8))
-    thetas = uniform_thetas(np.pi / 4)
-    turn = np.stack((-vmap[1], vmap[0])).swapaxes(1, 2)[..., ::-1]
-    stack = cbml_o(vmap, points, thetas, 0.1, engine=engine)
-    turned = cbml_o(np.ascontiguousarray(turn), points, thetas, 0.1, engine=engine)
-    np.testing.assert_allclose(
-        np.roll(stack.swapaxes(1, 2)[..., ::-1], 2, axis=0), turned, atol=len(points) / 127 + 1e-4
-    )
-
-
-@settings(max_examples=20)
-@given(seeds)
-def test_order_of_the_rays_and_opposite_normals(seed):
-    vmap, points = random_case(seed)
-    thetas = uniform_thetas(0.8)
-    stack = cbml_o(vmap, points, thetas, 0.1, engine="shift")
-    order = np.random.default_rng(seed).permutation(len(points))
-    np.testing.assert_array_equal(
-        cbml_o(vmap, points.select(order), thetas, 0.1, engine="shift"), stack
-    )
-    opposite = oriented(points.xy, points.alpha + np.pi, points.valid)
-    np.testing.assert_allclose(
-        cbml_o(vmap, opposite, thetas, 0.1, engine="dft"),
-        -cbml_o(vmap, points, thetas, 0.1, engine="dft"),
-        atol=0.02 * len(points) * np.pi,  # a normal midway between two directions
-    )
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 8, 9, 31, 257, 258, 259, 700])

@@ -200,3 +200,34 @@ def test_a_normal_just_below_a_whole_turn_has_a_heading(n_theta):
         assert stack.sum() == 1
         assert int(stack.argmax()) // 400 in (n_theta - 1, 0)
         alpha = np.nextafter(alpha, 0)
+
+
+# Sec. VII's suggestion: one vote per scan point and cell.
+
+
+@pytest.mark.parametrize("n_theta", [1, 5])
+def test_once_equals_the_loops(n_theta):
+    surface, points, vis = random_case(1, m=60, n=25)
+    fast = ght_v(surface, relative(vis, surface.alpha), points, n_theta, (7, 10), 0.1, once=True)
+    slow = naive.ght_v_once(surface, vis, points, n_theta, (7, 10), 0.1)
+    np.testing.assert_array_equal(fast, slow)
+    everybody = naive.ght_v(surface, vis, points, n_theta, (7, 10), 0.1)
+    assert 0 < fast.sum() < everybody.sum()
+    plain = ght(surface, points, n_theta, (7, 10), 0.1, once=True)
+    slow = naive.ght_v_once(surface, None, points, n_theta, (7, 10), 0.1)
+    np.testing.assert_array_equal(plain, slow)
+
+
+def test_once_holds_across_blocks_and_threads():
+    m = BLOCK_COLUMNS + 900
+    surface, points, vis = random_case(2, m=m, n=7, lost=0.0)
+    vis = relative(vis, surface.alpha)
+    stack = ght_v(surface, vis, points, 3, (7, 10), 0.1, once=True)
+    assert stack.max() <= 7  # of the 9000 map points no cell gets more votes than scan points
+    parts = [
+        ght_v(surface, vis, points.select(slice(i, i + 1)), 3, (7, 10), 0.1) > 0 for i in range(7)
+    ]
+    np.testing.assert_array_equal(stack, np.sum(parts, axis=0))
+    for threads in (2, 5):
+        more = ght_v(surface, vis, points, 3, (7, 10), 0.1, once=True, threads=threads)
+        np.testing.assert_array_equal(more, stack)
