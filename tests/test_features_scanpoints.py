@@ -91,12 +91,11 @@ def test_noisy_room(count, fov):
     assert 0.4 < np.median(score) < 1.0
 
 
-@pytest.mark.parametrize(("given", "metres"), [({}, 0.25), ({"width": 0.4}, 0.4)])
-def test_a_normal_is_that_of_so_much_wall(given, metres):
+def test_a_normal_is_that_of_so_much_wall():
     step = np.deg2rad(0.5)
     angles = step * np.arange(-80, 81)
-    middle = scan_points(2 / np.cos(angles), angles, every(angles), **given).sigma_alpha[80]
-    n = 2 * np.floor(metres / (2 * step)) + 1  # points that far to either side, 2 m ahead
+    middle = scan_points(2 / np.cos(angles), angles, every(angles)).sigma_alpha[80]
+    n = 2 * np.floor(0.25 / (2 * step)) + 1  # points that far to either side, 2 m ahead
     assert middle == pytest.approx(0.02 / (2 * step * np.sqrt(n * (n * n - 1) / 12)), rel=0.05)
 
 
@@ -110,21 +109,11 @@ def test_noise_as_expected_does_not_narrow_the_window():
     assert np.mean(sigma > 1.8 * quiet) < 0.005
 
 
-def test_less_noise_gives_smaller_sigma():
-    angles = fan(181, 180)
-    ranges, _ = box(angles, 4.0, 3.0)
-    sigmas = [
-        np.median(scan_points(ranges, angles, every(angles), sigma_range=s).sigma_alpha)
-        for s in (0.01, 0.02)
-    ]
-    assert sigmas[1] == pytest.approx(2 * sigmas[0], rel=0.05)
-
-
 def test_corners_keep_the_normals_of_their_walls():
     angles = fan(721, 360)
     ranges, normal = box(angles, 3.0, 2.0)
-    points = scan_points(ranges, angles, every(angles), sigma_range=0.005)
-    assert (degrees_off(points.alpha, normal) > 5).sum() <= 8  # four corners, two rays each
+    points = scan_points(ranges, angles, every(angles))
+    assert (degrees_off(points.alpha, normal) > 10).sum() <= 8  # four corners, two rays each
 
 
 def test_a_window_stops_at_a_depth_jump():
@@ -203,15 +192,6 @@ def test_order_and_heading_of_the_rays_do_not_matter(seed, turn):
     assert (reference.valid == turned.valid).mean() > 0.99
     off = degrees_off(turned.alpha[same], reference.alpha[same] + turn)
     assert (off < 1e-4).mean() > 0.99  # but for ties between windows
-
-
-@pytest.mark.parametrize(
-    "kwargs",
-    [{"sigma_range": 0.0}, {"width": 0.0}, {"width": -1.0}, {"sigma_range": float("nan")}],
-)
-def test_wrong_parameters(kwargs):
-    with pytest.raises(ValueError, match="positive"):
-        scan_points(np.ones(4), np.zeros(4), np.ones(4, bool), **kwargs)
 
 
 def test_wrong_lengths():

@@ -65,11 +65,11 @@ def as_recorded(
     return ScanFiles(**vars(logs), chosen=chosen, flipped=flipped, mount=mount, many=many)
 
 
-def item_of(map_path: Path, scans: Path | None = None, name: str | None = None) -> Item:
+def item_of(map_path: Path, scans: Path | None = None) -> Item:
     """One map, and a file of scans or none."""
     where = display(map_path)
     said = None if scans is None else opening.name_of(scans)
-    return Item(name or where, said, ((where, map_path),), scans)
+    return Item(where, said, ((where, map_path),), scans)
 
 
 def files_of(map_path: Path) -> list[Path]:

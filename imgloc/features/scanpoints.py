@@ -14,31 +14,20 @@ _GRAZING = np.deg2rad(10.0)
 _GAP, _MAX_GAP = 4.5, np.deg2rad(20.7)
 _SAME = 1e-4  # radians between two readings of one ray
 _MIN_NEIGHBOURS = 3
+# Metres: the deviation of a reading, and half the window of the regression at right angles to the
+# ray; never fewer than so many neighbours on either side unless the surface ends there.
+_SIGMA, _WIDTH = 0.02, 0.25
+_MAX_SIGMA = np.pi / 6  # radians: normals that are less certain are marked invalid
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
 
-def scan_points(
-    ranges: FloatArray,
-    angles: FloatArray,
-    valid: BoolArray,
-    *,
-    sigma_range: float = 0.02,
-    width: float = 0.25,
-    max_sigma: float = np.pi / 6,
-) -> OrientedPoints:
+def scan_points(ranges: FloatArray, angles: FloatArray, valid: BoolArray) -> OrientedPoints:
     """Return the valid readings as points with normals that face the sensor.
 
     Parameters
     ----------
     ranges, angles, valid : (N,) arrays
         Metres and radians in the sensor frame, in any order; which are distances to something.
-    sigma_range : float
-        Standard deviation of a reading, metres.
-    width : float
-        Half the window of the regression, metres at right angles to the ray; never fewer than
-        three points on either side unless the surface ends there.
-    max_sigma : float
-        Normals less certain than this (radians) are marked invalid.
 
     Returns
     -------
@@ -49,7 +38,7 @@ def scan_points(
     Raises
     ------
     ValueError
-        If the arrays differ in length, or sigma_range or width is not positive.
+        If the arrays differ in length.
 
     Notes
     -----
@@ -73,8 +62,6 @@ def scan_points(
             f"ranges {ranges.shape}, angles {angles.shape} and valid {valid.shape} "
             "must be vectors of one length"
         )
-    if not (sigma_range > 0 and width > 0):
-        raise ValueError(f"sigma_range {sigma_range} and width {width} must be positive")
 
     rho, phi = ranges[valid], wrap(angles[valid])
     xy = np.column_stack((rho * np.cos(phi), rho * np.sin(phi)))  # p_i of Fig. 3
@@ -85,7 +72,7 @@ def scan_points(
     order = np.argsort(phi, kind="stable")
     turn = np.concatenate((phi[order] - 2 * np.pi, phi[order], phi[order] + 2 * np.pi))
     depth, points = np.tile(rho[order], 3), np.tile(xy[order], (3, 1))
-    first, last = _surfaces(depth, turn, sigma_range)
+    first, last = _surfaces(depth, turn)
     moments = np.zeros((3 * n + 1, 5))
     x, y = points.T
     np.cumsum(np.column_stack((x, y, x * x, y * y, x * y)), axis=0, out=moments[1:])
@@ -93,13 +80,13 @@ def scan_points(
     middle = np.arange(n, 2 * n)
     first, last, ray = first[middle], last[middle], turn[middle]
     best = np.array([[np.nan], [np.inf], [np.inf]]).repeat(n, axis=1)
-    for reach in (width, width / 2):
+    for reach in (_WIDTH, _WIDTH / 2):
         half = np.minimum(reach / np.maximum(depth[middle], 1e-9), np.pi / 4)
         low = np.minimum(np.searchsorted(turn, ray - half, "left"), middle - _MIN_NEIGHBOURS)
         high = np.maximum(np.searchsorted(turn, ray + half, "right") - 1, middle + _MIN_NEIGHBOURS)
         for a, b in ((low, high), (middle, high), (low, middle)):  # around, after, before
             a, b = np.maximum(a, first), np.minimum(b, last)
-            fit = _regress(moments, a, b + 1, ray, sigma_range)
+            fit = _regress(moments, a, b + 1, ray)
             take = (best[2] > 3.0) & (fit[2] < best[2])
             best[:, take] = fit[:, take]
 
@@ -109,7 +96,7 @@ def scan_points(
     alpha, sigma_alpha = np.empty(n), np.empty(n)
     alpha[order] = wrap(np.where(away, normal + np.pi, normal))
     sigma_alpha[order] = sigma
-    return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= max_sigma)
+    return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= _MAX_SIGMA)
 
 
 def evenly(count: int, n: int) -> IntArray:
@@ -219,14 +206,14 @@ def scan_xy(scan: LaserScan) -> FloatArray:
     return np.column_stack((r * np.cos(scan.angles), r * np.sin(scan.angles)))
 
 
-def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray, IntArray]:
+def _surfaces(rho: FloatArray, phi: FloatArray) -> tuple[IntArray, IntArray]:
     """First and last ray, by index, on the surface that each of (N,) rays met."""
     gap = np.diff(phi)
     jump = np.abs(np.diff(rho))
     near = np.minimum(rho[1:], rho[:-1])
     one = gap[: len(rho) // 3]  # of one turn; several echoes of a ray are no gap
     usual = np.median(one[one > _SAME]) if np.any(one > _SAME) else np.inf
-    broken = (jump > 5 * sigma + near * gap / np.tan(_GRAZING)) | (
+    broken = (jump > 5 * _SIGMA + near * gap / np.tan(_GRAZING)) | (
         gap > min(_GAP * usual, _MAX_GAP)
     )
     surface = np.concatenate(([0], np.cumsum(broken)))
@@ -234,9 +221,7 @@ def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray,
     return starts[surface], starts[surface + 1] - 1
 
 
-def _regress(
-    moments: FloatArray, low: IntArray, high: IntArray, ray: FloatArray, sigma_range: float
-) -> FloatArray:
+def _regress(moments: FloatArray, low: IntArray, high: IntArray, ray: FloatArray) -> FloatArray:
     """Fit lines to the points ``low..high-1``: direction, standard error, excess; (3, N).
 
     The excess is by how many standard deviations of chi-square the residuals are larger than
@@ -251,10 +236,10 @@ def _regress(
     line = 0.5 * np.arctan2(2 * xy, 2 * half)
     residual = np.maximum(mean - spread, 0.0)
     # The noise is along the ray; what counts is its part across the line.
-    noise = (sigma_range * np.sin(line - ray)) ** 2
+    noise = (_SIGMA * np.sin(line - ray)) ** 2
     enough = m > _MIN_NEIGHBOURS
     with np.errstate(divide="ignore", invalid="ignore"):
         unbiased = residual * m / (m - 2)
         sigma = np.sqrt(np.maximum(noise, unbiased) / (m * (mean + spread)))
-        excess = (unbiased / sigma_range**2 - 1) * np.sqrt((m - 2) / 2)
+        excess = (unbiased / _SIGMA**2 - 1) * np.sqrt((m - 2) / 2)
     return np.where(enough, (line, sigma, excess), [[np.nan], [np.inf], [np.inf]])

@@ -31,11 +31,10 @@ _SIDE = np.array([(0.5, 0.0), (0.0, 0.5), (-0.5, 0.0), (0.0, -0.5)])
 # hundreds of bytes for each vertex. A fit looks into the rows around a band.
 _SIDES, _CELLS = 1 << 17, 1 << 24
 _HALO = 2 * max(_WINDOWS)
+_MAX_SIGMA = np.pi / 4  # radians: normals that are less certain are marked invalid
 
 
-def surface_points(
-    occupied: BoolArray, free: BoolArray, resolution: float, *, max_sigma: float = np.pi / 4
-) -> OrientedPoints:
+def surface_points(occupied: BoolArray, free: BoolArray, resolution: float) -> OrientedPoints:
     """Sample the boundary between occupied and free space, with directed normals.
 
     Parameters
@@ -43,8 +42,8 @@ def surface_points(
     occupied, free : (H, W) bool arrays
         Row 0 is the lowest y. There is no surface between a wall and unknown space, cells that are
         neither, nor between a wall and the edge of the map.
-    resolution, max_sigma : float
-        Side of a cell, metres; normals less certain than so many radians are marked invalid.
+    resolution : float
+        Side of a cell, metres.
 
     Returns
     -------
@@ -83,7 +82,7 @@ def surface_points(
 
     parts = [_surface_of(occupied, free, *band) for band in _bands(occupied)]
     points, alpha, sigma = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return OrientedPoints(points * resolution, alpha, sigma, sigma <= max_sigma)
+    return OrientedPoints(points * resolution, alpha, sigma, sigma <= _MAX_SIGMA)
 
 
 def _bands(occupied: BoolArray) -> list[tuple[int, int]]:

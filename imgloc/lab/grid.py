@@ -32,8 +32,6 @@ _ROOT = float(np.sqrt(2 * np.pi))
 _FINE = 32  # warpAffine interpolates between so many places of a pixel
 _COPIES = 4  # stacks that are held at a time
 _WIDE = 16.0  # cells: a wider blur costs less as a product of matrices
-# Least share of the mass that a motion leaves on the map; with less the belief was wrong.
-_LEFT = number("grid.left")
 _EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
@@ -74,7 +72,8 @@ def predict(
     Returns
     -------
     (K, H, W) float32 array
-        Its sum is that of `belief`. It is all 0 if nearly no mass would stay on free cells.
+        Its sum is that of `belief`. It is all 0 if nearly no mass would stay on free cells, because
+        the belief was wrong.
 
     Examples
     --------
@@ -96,7 +95,7 @@ def predict(
     out = turn(out, float(increment[2]), float(np.hypot(first, second)))
     out *= free
     before, whole = belief.sum(dtype=np.float64), out.sum(dtype=np.float64)
-    out *= np.float32(before / whole if whole > _LEFT * before else 0.0)
+    out *= np.float32(before / whole if whole > (1 - GridOptions.box) * before else 0.0)
     return out
 
 

@@ -48,15 +48,15 @@ def answer_row(
 PLACES = 20  #: places of a belief that are listed
 
 
-def places_of(belief: "Belief", origin: Pose2D, most: int = PLACES) -> list[dict[str, float]]:
+def places_of(belief: "Belief", origin: Pose2D) -> list[dict[str, float]]:
     """The places of a belief with their masses, map frame, best first.
 
     `origin` is that of the grid, in whose frame beliefs are.
     """
-    poses = transform_poses(origin, belief.poses[:most]).tolist()
+    poses = transform_poses(origin, belief.poses[:PLACES]).tolist()
     return [
         dict(zip(("x", "y", "theta", "mass"), (*pose, mass), strict=True))
-        for pose, mass in zip(poses, belief.mass[:most].tolist(), strict=True)
+        for pose, mass in zip(poses, belief.mass[:PLACES].tolist(), strict=True)
     ]
 
 

@@ -6,15 +6,13 @@ import cv2
 import numpy as np
 
 from imgloc.geometry import wrap
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.model import Float32Array, FloatArray, IntArray
 from imgloc.search.hypotheses import separated
 
 _FEW = 4096  # peaks that are sorted at a time
 
 
-def find_peaks(
-    values: Float32Array, n: int, *, radius: int = 1, where: BoolArray | None = None
-) -> IntArray:
+def find_peaks(values: Float32Array, n: int, *, radius: int = 1) -> IntArray:
     """Find the `n` greatest local maxima above 0 of a stack (K, H, W).
 
     The result (M, 3) has their indices ``(theta, row, col)``, the greatest first.
@@ -24,8 +22,6 @@ def find_peaks(
     radius : int
         A peak is the largest value in a window of ``2 radius + 1`` cells and headings on each axis.
         Theta wraps around. The first of equal neighbours, in index order, is the peak.
-    where : (H, W) bool array, optional
-        Cells that may hold a peak.
 
     Examples
     --------
@@ -34,7 +30,7 @@ def find_peaks(
     >>> find_peaks(stack, 9).tolist()
     [[3, 0, 1], [2, 0, 4]]
     """
-    cells = _local_maxima(values, radius, where)
+    cells = _local_maxima(values, radius)
     kept = np.empty((0, 3), np.int64)
     for some in _falling(values.ravel()[cells]):
         for cell in np.stack(np.unravel_index(cells[some], values.shape), axis=1):
@@ -48,7 +44,7 @@ def find_peaks(
     return kept
 
 
-def _local_maxima(values: Float32Array, radius: int, where: BoolArray | None) -> IntArray:
+def _local_maxima(values: Float32Array, radius: int) -> IntArray:
     """Flat indices, in order, of the positive values that are the largest in their window.
 
     The headings of a window are held in a ring, so that they are dilated once and stay in the
@@ -60,15 +56,11 @@ def _local_maxima(values: Float32Array, radius: int, where: BoolArray | None) ->
     ring = np.empty((2 * reach + 1, height, width), dtype=np.float32)
     top = np.empty((height, width), dtype=np.float32)
 
-    def allowed(k: int) -> Float32Array:
-        image = values[k % n]
-        return image if where is None else np.where(where, image, np.float32(0))
-
     found = []
     for k in range(-2 * reach, n):
-        cv2.dilate(allowed(k + reach), kernel, dst=ring[k % len(ring)])
+        cv2.dilate(values[(k + reach) % n], kernel, dst=ring[k % len(ring)])
         if k >= 0:
-            image = allowed(k)
+            image = values[k]
             np.max(ring, axis=0, out=top)
             found.append(np.flatnonzero((image == top) & (image > 0)) + k * top.size)
     return np.concatenate(found)
