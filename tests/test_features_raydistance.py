@@ -141,19 +141,6 @@ def test_cells_beside_a_wall_are_not_inside_it():
     assert (stack[away][:, inner] == 0).mean() < 0.01
 
 
-@settings(max_examples=20)
-@given(st.integers(0, 1000), st.integers(1, 3))
-def test_turning_the_map_turns_the_directions(seed, quarters):
-    occupied = blobs(seed)
-    stack = ray_distances(occupied, 1.0, 8, 60.0)
-    turned = np.rot90(occupied, quarters, axes=(1, 0))  # counter-clockwise, row 0 is lowest
-    other = ray_distances(turned, 1.0, 8, 60.0)
-    expected = np.rot90(np.roll(stack, 2 * quarters, axis=0), quarters, axes=(2, 1))
-    same = other == expected
-    assert same[::2].all()  # along the axes
-    assert np.median(np.abs(other.astype(int) - expected)) <= 10
-
-
 @pytest.mark.parametrize("n_psi", [1, 5, 8])
 def test_threads_do_not_matter(n_psi):
     occupied = blobs(5)

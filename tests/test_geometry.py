@@ -14,7 +14,6 @@ from imgloc.geometry import (
     rotate_covariance,
     rotation,
     theta_bin,
-    transform_points,
     transform_poses,
     uniform_thetas,
     wrap,
@@ -115,21 +114,8 @@ def test_inverse_undoes_from_both_sides(a):
         np.testing.assert_allclose(matrix(identity), np.eye(3), atol=1e-9)
 
 
-def test_compose_is_not_commutative():
-    turn, go = Pose2D(0, 0, np.pi / 2), Pose2D(2, 0, 0)
-    first_turn, first_go = compose(turn, go), compose(go, turn)
-    assert (first_turn.x, first_turn.y) == pytest.approx((0, 2))
-    assert (first_go.x, first_go.y) == pytest.approx((2, 0))
-
-
 def test_rotation_is_counter_clockwise():
     np.testing.assert_allclose(rotation(np.pi / 2) @ [1, 0], [0, 1], atol=1e-12)
-
-
-def test_points_of_a_turned_sensor():
-    # One metre ahead and half a metre to the left of a sensor that looks along +y.
-    seen = transform_points(Pose2D(3, 4, np.pi / 2), np.array([[1.0, 0.0], [0.0, 0.5]]))
-    np.testing.assert_allclose(seen, [[3, 5], [2.5, 4]], atol=1e-12)
 
 
 @given(poses, st.lists(st.tuples(coordinates, coordinates, angles), max_size=4))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from imgloc.geometry import uniform_thetas, wrap
@@ -61,28 +61,6 @@ def test_moments_equal_the_loops(shape, seed, radius):
         np.testing.assert_allclose(wrap(poses[i, 2] - mean[2]), 0, atol=1e-9)
         assert mass[i] == pytest.approx(total)
         np.testing.assert_allclose(covariance[i], expected, atol=1e-9)
-
-
-@given(seeds, st.integers(0, 8))
-@settings(max_examples=30)
-def test_the_answer_turns_with_the_stack(seed, turn):
-    probability = stack_of(seed, (9, 6, 7))
-    peaks = find_peaks(probability, 4)
-    poses, mass, covariance = moments(probability, peaks)
-    turned = moments(np.roll(probability, turn, axis=0), (peaks + (turn, 0, 0)) % (9, 99, 99))
-    np.testing.assert_allclose(turned[0][:, :2], poses[:, :2], atol=1e-9)
-    np.testing.assert_allclose(
-        wrap(turned[0][:, 2] - poses[:, 2] - turn * 2 * np.pi / 9), 0, atol=1e-9
-    )
-    np.testing.assert_allclose(turned[1], mass, atol=1e-12)
-    np.testing.assert_allclose(turned[2], covariance, atol=1e-9)
-
-
-def test_a_cell_between_two_peaks_counts_for_the_better():
-    probability = np.zeros((1, 1, 4), np.float32)
-    probability[0, 0] = 0.4, 0.2, 0.1, 0.3
-    _, mass, _ = moments(probability, [[0, 0, 0], [0, 0, 3]], radius=2)
-    np.testing.assert_allclose(mass, [0.7, 0.3])
 
 
 def test_no_peaks():

@@ -287,35 +287,6 @@ def test_too_short_is_no_surprise_and_too_long_is(rho, crossed, on_surface):
     assert bool(got.on_surface[0, 0]) is on_surface
 
 
-def test_what_fits_best_scores_best():
-    rho = np.arange(3.0, 5.0, 0.05)
-    got = [score(corridor(), POSE, [r], [0.0]).log_likelihood[0] for r in rho]
-    assert rho[np.argmax(got)] == pytest.approx(4.0, abs=0.026)
-    rise = np.diff(got[: int(np.argmax(got)) + 1])
-    assert np.all(rise >= -1e-6)
-
-
-def test_a_reading_of_nothing_on_the_map_costs_the_same_everywhere():
-    model = EvidenceModel()
-    got = score(np.eye(200, dtype=bool), [[15.0, 3.0, 0.0]], [1.0, 2.0], [0.0, 0.0], model)
-    chance = math.log((1 - model.hit) / model.span)
-    assert got.log_likelihood[0] == pytest.approx(2 * chance, rel=1e-5)
-    assert not got.on_surface.any()
-
-
-@given(seeds)
-@settings(max_examples=10)
-def test_readings_have_no_order_and_poses_are_alone(seed):
-    wall, poses, rng = room_with_pillars(seed)
-    ranges, angles = rng.uniform(0.1, 5, 20), rng.uniform(-3, 3, 20)
-    order = rng.permutation(20)
-    a = score(wall, poses, ranges, angles)
-    b = score(wall, poses[::-1], ranges[order], angles[order])
-    np.testing.assert_allclose(b.log_likelihood[::-1], a.log_likelihood, rtol=1e-5)
-    np.testing.assert_array_equal(b.crossed[::-1], a.crossed[:, order])
-    np.testing.assert_array_equal(b.on_surface[::-1], a.on_surface[:, order])
-
-
 @given(seeds)
 @settings(max_examples=10)
 def test_the_true_pose_explains_its_scan_and_beats_its_neighbours(seed):

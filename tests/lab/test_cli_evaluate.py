@@ -193,19 +193,3 @@ def test_real_data(shared: Path) -> None:
     assert row["map"] == "fr079"
     assert row["success"][1]["at_1"]["hits"] == 3
     assert row["outside"] == 0
-
-
-def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(tmp_path: Path) -> None:
-    scans, half, away = (tmp_path / f"{name}.npz" for name in ("scans", "half", "away"))
-    words = ("--rays", 180, "--fov-deg", 360, "--out", scans)
-    assert call("simulate", CURVED, "-n", 2, "--seed", 5, *words).code == 0
-    with np.load(scans) as held:
-        arrays = dict(held)
-    np.savez(half, **arrays | {"ranges": 0.5 * arrays["ranges"], "range_max": 15.0})
-    np.savez(away, **arrays | {"poses": arrays["poses"] + 3})
-    mine = call("localize", "curved", half, OFF).err.splitlines()[-1]
-    run = call("evaluate", "curved", "--scans", half, "--method", "fused").ends(0)
-    assert run.err.splitlines()[-1] == mine
-    assert "Try --range-scale 2, or" in mine
-    run = call("evaluate", "curved", "--scans", away, "--method", "fused")
-    assert "the recorded poses do not match this map" in run.err.splitlines()[-1]

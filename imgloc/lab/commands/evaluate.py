@@ -26,8 +26,7 @@ from imgloc.texts import names
 if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
     from imgloc.model import OccupancyGrid
-    from imgloc.runs.jobs import Item
-    from imgloc.runs.opening import Desk, MapFiles, ScanFiles
+    from imgloc.runs.opening import Desk, ScanFiles
 
 _SIMULATED, _RECORDED = "evaluate without --scans", "evaluate --scans"
 #: Of which of the two options are that the other would not notice.
@@ -100,7 +99,7 @@ def evaluate(
     if scans is None:
         sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
     how = inputs.as_recorded(Logs(range_max=range_max), chosen)
-    table, notes = list[dict[str, Any]](), list[str]()
+    table = list[dict[str, Any]]()
     with warned(also_printed=True) as said:
         for k, path in enumerate(maps):
             desk, name = inputs.desk_of(**vars(taken)), map_name(path)
@@ -136,13 +135,10 @@ def evaluate(
                 if as_json:
                     emit(to_json(rows[-1]))
             table += rows
-            works = (row["success"][-1]["at_1"]["value"] >= 0.5 for row in rows)
-            if file is not None and not any(works):
-                notes += _doubts(inputs.item_of(path, file), read, how, cell, desk)
     if not as_json:
         emit(evaluation_tables(table, width()))
     # Lines that were left out are told once more, below the table.
-    for note in [*(text for text, code in said.items() if code in ("broken", "cut")), *notes]:
+    for note in (text for text, code in said.items() if code in ("broken", "cut")):
         say(note)
 
 
@@ -169,23 +165,6 @@ def _recorded(path: Path, how: "ScanFiles", desk: "Desk") -> "tuple[ScanSet, dic
     source: dict[str, Any] = {"scans": taken.name, "sample": chosen.sample}
     source |= {"sample_seed": chosen.seed, "range_max": how.range_max}
     return taken.scans, source | ({} if chosen.index is None else {"index": chosen.index})
-
-
-def _doubts(
-    item: "Item", maps: "MapFiles", how: "ScanFiles", cell: float, desk: "Desk"
-) -> list[str]:
-    """Causes for which recorded scans are not found: sentences, tried on a few of them."""
-    from imgloc.answers.logcheck import located
-    from imgloc.answers.truth import NOT_TRUE, poses_fit
-    from imgloc.runs.localize import Localize
-
-    run = Localize(maps=maps, scans=how, cell=cell).open(item, desk)
-    scans, grid = run.taken.scans, run.features.grid
-    some, answers = located(run.features, scans, run.options)
-    found = run.doubts(some, [(answer.verdict, answer.evidence) for answer in answers])
-    if not found and scans.poses is not None and poses_fit(grid, scans.scans, scans.poses) is False:
-        return [f"{run.taken.name}: {NOT_TRUE}"]
-    return [doubt.said for doubt in found]
 
 
 def _map_of(path: Path) -> Path:
