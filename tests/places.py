@@ -5,7 +5,9 @@ from functools import cache
 
 import numpy as np
 
+from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import wrap
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
@@ -40,6 +42,15 @@ def scan_of(name, seed=0):
     fine = render(WORLDS[name](), 0.02)
     ranges = simulate_ranges(fine, [POSES[name]], ANGLES, seed=seed, range_max=30.0)[0]
     return LaserScan(ranges, ANGLES, range_max=30.0)
+
+
+def drive(poses):
+    """A drive through the world visibility, with odometry."""
+    fine = render(WORLDS["visibility"](), 0.05)
+    ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
+    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    return ScanSet(scans, poses, 100.0 + np.arange(len(poses)), odom)
 
 
 @cache

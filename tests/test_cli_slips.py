@@ -10,20 +10,16 @@ import numpy as np
 import PIL.Image
 import pytest
 from command import MAPS, call, rows
+from places import drive
 
 from imgloc.errors import ConfigError
 from imgloc.filters.choose import make_filter
 from imgloc.filters.follow import follow
-from imgloc.filters.motion import noisy_odometry
 from imgloc.io.cache import cache_limit
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 
 MAP, N = MAPS / "visibility.yaml", 6
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
@@ -33,13 +29,8 @@ ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short drive, its reach and odometry known."""
     poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
-    ranges = simulate_ranges(
-        render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2, range_max=30.0
-    )
-    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
-    odom = noisy_odometry(poses, np.random.default_rng(0))
     path = tmp_path_factory.mktemp("slips") / "log.npz"
-    save_scans(path, ScanSet(scans, poses, 100.0 + np.arange(N), odom))
+    save_scans(path, drive(poses))
     return path
 
 

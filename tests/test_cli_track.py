@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command import MAPS, call, rows
+from places import drive
 
 from imgloc.filters.choose import FILTERS
 from imgloc.filters.motion import noisy_odometry
@@ -32,12 +33,8 @@ ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
-    fine = render(WORLDS["visibility"](), 0.05)
-    ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
-    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
-    odom = noisy_odometry(poses, np.random.default_rng(0))
     path = tmp_path_factory.mktemp("log") / "log.npz"
-    save_scans(path, ScanSet(scans, poses, 100.0 + np.arange(N), odom))
+    save_scans(path, drive(poses))
     return path
 
 

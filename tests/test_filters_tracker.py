@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import ANGLES, POSES, features_of
+from places import ANGLES, POSES, drive, features_of
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
@@ -14,7 +14,7 @@ from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
 from imgloc.filters.follow import Follower, follow
-from imgloc.filters.motion import compose_poses, noisy_odometry
+from imgloc.filters.motion import compose_poses
 from imgloc.filters.tracker import Tracker, TrackerOptions, _Search
 from imgloc.geometry import transform_poses, wrap
 from imgloc.io.maps import load_map
@@ -36,11 +36,9 @@ WORLD = "visibility"
 def log() -> ScanSet:
     """Twenty-four scans along the corridor of a world, half a metre apart, with odometry."""
     poses = np.array([[4.0 + 0.5 * k, 7.0, 0.02 * k] for k in range(24)])
-    fine = render(WORLDS[WORLD](), 0.05)
-    ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
-    scans = [LaserScan(r, ANGLES, range_max=30.0, stamp=float(k)) for k, r in enumerate(ranges)]
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    return ScanSet(tuple(scans), poses, np.arange(24.0), odom)
+    seen = drive(poses)
+    scans = [replace(scan, stamp=float(k)) for k, scan in enumerate(seen.scans)]
+    return replace(seen, scans=tuple(scans), stamps=np.arange(24.0))
 
 
 BENT_WALLS = np.array([[0.0, 10.0], [9.0, 20.0], [0.0, 0.0], [0.0, 0.0]])

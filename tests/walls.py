@@ -5,13 +5,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from places import drive
 
-from imgloc.filters.motion import noisy_odometry
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, LaserScan
-from imgloc.simulation.scans import simulate_ranges
+from imgloc.model import BoolArray
 from imgloc.simulation.worlds import WORLDS, render
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
@@ -24,11 +22,7 @@ def drawn(folder: Path, occupied: BoolArray) -> Path:
     """The folder, with a map that has these walls, and a log from the world itself."""
     save_map(folder / "map.yaml", replace(GRID, occupied=occupied, free=GRID.free & ~occupied))
     poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
-    fine = render(WORLDS["visibility"](), 0.05)
-    ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
-    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    save_scans(folder / "log.npz", ScanSet(scans, poses, 100.0 + np.arange(N), odom))
+    save_scans(folder / "log.npz", drive(poses))
     return folder
 
 

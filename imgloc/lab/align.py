@@ -54,8 +54,7 @@ from imgloc.numbers import number
 
 _CELL, _BLUR = number("align.cell"), number("align.blur")  # metres, of the correlation
 _PLACES, _FOLLOWED = number("align.places"), number("align.followed")  # refined, and bent
-_WIDTHS = number("align.widths")  # of the kernel of the refinement, metres
-_BENDS = number("align.bends")  # of the kernel of the patches, metres
+_WIDTHS = number("align.widths")  # of the kernel of the refinement and the patches, metres
 _PATCH, _REACH = number("align.patch")  # metres between patches, and of their weights
 _STIFF = number("align.stiff")  # between neighbouring patches, metres and radians
 _SLACK = number("align.slack")  # metres that a metre of wall may be off, at the same cost
@@ -351,7 +350,7 @@ def bent(a: Side, b: Side, pose: FloatArray) -> Bend:
     pairs = [_pairs(b.xy, at, _REACH / pose[3]), _pairs(a.xy, start[:, :2], _REACH)]
     springs = _springs(cells, start[:, :2])
     moved = np.zeros((len(at), 3))
-    for width in _BENDS:
+    for width in _WIDTHS:
         for _ in range(2):
             poses = start + np.column_stack((moved, np.zeros((len(at), 2))))
             A, v = _equations(a, b, at, poses, pairs, width)

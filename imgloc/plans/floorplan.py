@@ -26,8 +26,6 @@ from imgloc.plans.doors import LEAVES, Door, arcs
 
 _BYTES = 60  # of each such pixel, at the peak
 # What a plan looks like; numbers.json says of each what it is.
-_DARKEST = number("floorplan.darkest")
-_CONTRAST = number("floorplan.contrast")
 _FRAMED = number("floorplan.framed")
 _MOST = number("floorplan.most")
 _STRIP: float = number("floorplan.strip")
@@ -270,15 +268,14 @@ def _evened(
     kernel = np.ones((side, side), np.uint8)
     smooth = cv2.medianBlur(grey, 3)
     light, dark = cv2.dilate(smooth, kernel), cv2.erode(smooth, kernel)
-    if inverted is None:  # most of what lies near lines is paper, and not ink
-        near = cv2.subtract(light, dark) > 255 * _CONTRAST
+    if inverted is None:  # most of what lies near lines, even the faintest, is paper, and not ink
+        near = cv2.subtract(light, dark) > 255 * _LIGHT[0]
         inked = cv2.subtract(light, smooth) > cv2.subtract(smooth, dark)
         inverted = bool(2 * np.count_nonzero(inked & near) > np.count_nonzero(near))
     if inverted:
         grey, light = 255 - grey, 255 - dark
     paper = cv2.erode(light, kernel)
-    least = max(1, round(_DARKEST * float(np.percentile(paper, 95))))
-    evened = cv2.divide(grey, np.maximum(paper, least).astype(np.uint8), scale=255)
+    evened = cv2.divide(grey, np.maximum(paper, 1), scale=255)
     return np.asarray(evened, np.uint8), inverted
 
 

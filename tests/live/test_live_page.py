@@ -8,6 +8,7 @@ import shlex
 import shutil
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -15,9 +16,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from command import MAPS, call, rows
+from places import drive
 from serving import served
 
-from imgloc.filters.motion import noisy_odometry
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
@@ -42,13 +43,8 @@ EVIL = "<img src=x onerror=window.hit=1>"
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drive through ``visibility`` with odometry."""
-    ranges = simulate_ranges(
-        render(WORLDS["visibility"](), 0.05), POSES, ANGLES, seed=2, range_max=30.0
-    )
-    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
-    odom = noisy_odometry(POSES, np.random.default_rng(0))
     path = tmp_path_factory.mktemp("log") / "log.npz"
-    save_scans(path, ScanSet(scans, None, 100.0 + np.arange(len(POSES)), odom))
+    save_scans(path, replace(drive(POSES), poses=None))
     return path
 
 
