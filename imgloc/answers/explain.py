@@ -28,7 +28,14 @@ from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import Readings, one_per_place, scan_points, scan_xy
+from imgloc.features.scanpoints import (
+    GRAZING,
+    MAX_SIGMA,
+    Readings,
+    one_per_place,
+    scan_points,
+    scan_xy,
+)
 from imgloc.geometry import in_grid_frame, poses_of, transform_points, uniform_thetas, wrap
 from imgloc.likelihoods.correlate import correlate
 from imgloc.likelihoods.stacks import likelihood
@@ -54,8 +61,6 @@ from imgloc.search.weigh import settle
 #: What a ray can be, in the order in which they are counted.
 KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")
 
-_TOLERANCE = number("explain.tolerance")  # between normals; more if one of them is uncertain
-_GRAZING = number("explain.grazing")  # a surface along the ray may turn away by so much
 _NEAR = number("explain.near")  # metres: points so little farther than the nearest are asked, too
 _SIDE = 1400  # cells that the picture of a likelihood has at most along a side
 _WORK = 10**10  # readings x headings x cells of the correlation that is drawn, at most
@@ -280,11 +285,12 @@ def faced(
     close = away <= nearest[ray] + _NEAR
     ray, point = ray[close], point[close]
     normal = surface.alpha[point]
-    facing = np.cos(normal - psi[ray]) < np.sin(_GRAZING)
+    # A surface along the ray may turn away by so much that none is followed any more.
+    facing = np.cos(normal - psi[ray]) < np.sin(GRAZING)
     known = np.isfinite(sigma[ray])
     doubt = 2 * np.hypot(np.where(known, sigma[ray], 0.0), surface.sigma_alpha[point])
     turned = np.abs(wrap(np.where(known, alpha[ray], normal) - normal))
-    agrees = facing & (turned <= np.maximum(_TOLERANCE, doubt))
+    agrees = facing & (turned <= np.maximum(MAX_SIGMA, doubt))
     out = np.ones(len(end), np.bool_)
     out[ray] = False
     out[ray[agrees]] = True

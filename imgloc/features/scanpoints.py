@@ -8,7 +8,7 @@ from imgloc.geometry import wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, OrientedPoints
 
 # A wall is followed up to this angle between ray and wall (Borges & Aldon 2004, breakpoints).
-_GRAZING = np.deg2rad(10.0)
+GRAZING = np.deg2rad(10.0)
 # Neighbours further apart say nothing about each other: no whole number of readings, no angle of a
 # regular scan, where rounding would decide. Three readings lost in a row are no end of a surface.
 _GAP, _MAX_GAP = 4.5, np.deg2rad(20.7)
@@ -17,7 +17,7 @@ _MIN_NEIGHBOURS = 3
 # Metres: the deviation of a reading, and half the window of the regression at right angles to the
 # ray; never fewer than so many neighbours on either side unless the surface ends there.
 _SIGMA, _WIDTH = 0.02, 0.25
-_MAX_SIGMA = np.pi / 6  # radians: normals that are less certain are marked invalid
+MAX_SIGMA = np.pi / 6  # radians: normals that are less certain are marked invalid
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
 
@@ -96,7 +96,7 @@ def scan_points(ranges: FloatArray, angles: FloatArray, valid: BoolArray) -> Ori
     alpha, sigma_alpha = np.empty(n), np.empty(n)
     alpha[order] = wrap(np.where(away, normal + np.pi, normal))
     sigma_alpha[order] = sigma
-    return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= _MAX_SIGMA)
+    return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= MAX_SIGMA)
 
 
 def evenly(count: int, n: int) -> IntArray:
@@ -213,7 +213,7 @@ def _surfaces(rho: FloatArray, phi: FloatArray) -> tuple[IntArray, IntArray]:
     near = np.minimum(rho[1:], rho[:-1])
     one = gap[: len(rho) // 3]  # of one turn; several echoes of a ray are no gap
     usual = np.median(one[one > _SAME]) if np.any(one > _SAME) else np.inf
-    broken = (jump > 5 * _SIGMA + near * gap / np.tan(_GRAZING)) | (
+    broken = (jump > 5 * _SIGMA + near * gap / np.tan(GRAZING)) | (
         gap > min(_GAP * usual, _MAX_GAP)
     )
     surface = np.concatenate(([0], np.cumsum(broken)))

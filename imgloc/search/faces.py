@@ -22,6 +22,7 @@ from imgloc.geometry import wrap
 from imgloc.model import FloatArray
 from imgloc.numbers import number
 from imgloc.options import DEEPEST, Shared
+from imgloc.search.hypotheses import LEAST
 from imgloc.search.refine import DAMPING, MAX_STEP, block_sums
 
 # Mean and standard deviation of the depth on a map of which nothing is known, and the standard
@@ -29,7 +30,6 @@ from imgloc.search.refine import DAMPING, MAX_STEP, block_sums
 _DEPTH, _KNOWN = number("faces.depth"), number("faces.known")
 _GRAZING = number("faces.grazing")  # cosine below which a reading says nothing of a face
 _WIDTHS = number("faces.widths")  # of the robust kernel, metres
-_LEAST = number("faces.least")  # least residual that counts, metres
 _SMOOTH = number("faces.smooth")  # slope of the field below which its direction is of no wall
 
 
@@ -122,11 +122,12 @@ def on_faces(
     mean, deviation = depth
     deep = np.full(len(poses), mean)
     met, moved = faces_met(poses, readings, features), np.zeros_like(poses)
+    least = LEAST * features.grid.resolution
     for width in _WIDTHS:
         J, residual = met.residuals(moved, deep)
         (A,), (b,), square = block_sums(J, residual, met.usable, width)
         A[:, range(3), range(3)] += DAMPING * len(readings)
-        strength = correlated * np.maximum(square, _LEAST**2) / deviation**2
+        strength = correlated * np.maximum(square, least**2) / deviation**2
         A[:, 3, 3] += strength
         b[:, 3] += strength * (deep - mean)
         step = np.linalg.solve(A, b[..., None])[..., 0]

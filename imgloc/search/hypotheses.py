@@ -14,7 +14,8 @@ BLOCKS: int = number("hypotheses.blocks")
 # Factor on the jackknife's variance, because walls are longer than blocks; and the standard
 # deviation of a wall's place, in cells.
 _SHARED, _WALLS = number("hypotheses.shared"), number("hypotheses.walls")
-_LEAST = number("hypotheses.least")  # smallest residual that counts, as a share of a cell
+LEAST = number("hypotheses.least")
+"""Smallest residual that counts, as a share of a cell."""
 _TOGETHER = 64  # poses that are compared with all others at a time
 
 
@@ -185,7 +186,7 @@ def covariances_from(
     of the jackknife. The other arguments are those of :func:`covariances`.
     """
     A, jackknife = blocks.sum(axis=0), _jackknife(blocks, b, sigma, extent)
-    variance = correlated * np.maximum(square, np.square(_LEAST * cell))
+    variance = correlated * np.maximum(square, np.square(LEAST * cell))
     information = A / variance[:, None, None]
     each = range(len(extent))
     information[:, each, each] += 1 / np.square(extent)

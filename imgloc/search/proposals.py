@@ -20,13 +20,12 @@ from imgloc.likelihoods.correlate import correlate
 from imgloc.likelihoods.slices import Stack, cell_offsets
 from imgloc.model import BoolArray, FloatArray, IntArray
 from imgloc.numbers import number
-from imgloc.options import Prior
+from imgloc.options import AT_MOST, Prior
 from imgloc.search.lookups import sums_under
 
 _CHUNK_CELLS = 1 << 20  # cells of the exhaustive level's stack at a time: 4 MB
 _FIRST_CELLS = 1 << 18  # cells of its first piece
 _FEWEST_LEVELS = number("proposals.fewest_levels")  # grey levels besides 0
-_FEWEST: int = number("proposals.fewest")  # poses that are proposed however bad they are
 _BLOCK = number("proposals.block")  # cells and headings a side; each block has one proposal
 
 
@@ -94,7 +93,8 @@ def propose_endpoints(
     first = np.sort(np.unique(_key(*nodes.T // _BLOCK), return_index=True)[1])
     first = first[scores[first] > 0]
     mean = scores[first] / (255.0 * len(xy))
-    few = max(_FEWEST, np.count_nonzero(mean >= mean.max(initial=0) - worse))
+    # So many however bad they are: the list has to be full.
+    few = max(AT_MOST, np.count_nonzero(mean >= mean.max(initial=0) - worse))
     return _poses(nodes[first[:few]], thetas, levels[0]), mean[:few]
 
 
