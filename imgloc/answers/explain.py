@@ -28,14 +28,7 @@ from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import (
-    GRAZING,
-    MAX_SIGMA,
-    Readings,
-    one_per_place,
-    scan_points,
-    scan_xy,
-)
+from imgloc.features.scanpoints import GRAZING, SURE, Readings, one_per_place, scan_points, scan_xy
 from imgloc.geometry import in_grid_frame, poses_of, transform_points, uniform_thetas, wrap
 from imgloc.likelihoods.correlate import correlate
 from imgloc.likelihoods.stacks import likelihood
@@ -290,7 +283,7 @@ def faced(
     known = np.isfinite(sigma[ray])
     doubt = 2 * np.hypot(np.where(known, sigma[ray], 0.0), surface.sigma_alpha[point])
     turned = np.abs(wrap(np.where(known, alpha[ray], normal) - normal))
-    agrees = facing & (turned <= np.maximum(MAX_SIGMA, doubt))
+    agrees = facing & (turned <= np.maximum(SURE, doubt))
     out = np.ones(len(end), np.bool_)
     out[ray] = False
     out[ray[agrees]] = True

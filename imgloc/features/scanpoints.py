@@ -17,7 +17,7 @@ _MIN_NEIGHBOURS = 3
 # Metres: the deviation of a reading, and half the window of the regression at right angles to the
 # ray; never fewer than so many neighbours on either side unless the surface ends there.
 _SIGMA, _WIDTH = 0.02, 0.25
-MAX_SIGMA = np.pi / 6  # radians: normals that are less certain are marked invalid
+SURE = np.pi / 6  # radians: normals that are less certain are marked invalid
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
 
@@ -96,7 +96,7 @@ def scan_points(ranges: FloatArray, angles: FloatArray, valid: BoolArray) -> Ori
     alpha, sigma_alpha = np.empty(n), np.empty(n)
     alpha[order] = wrap(np.where(away, normal + np.pi, normal))
     sigma_alpha[order] = sigma
-    return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= MAX_SIGMA)
+    return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= SURE)
 
 
 def evenly(count: int, n: int) -> IntArray:

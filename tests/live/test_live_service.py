@@ -722,17 +722,22 @@ def test_a_stamp_that_leaps_is_answered_and_is_not_the_end(service: Served) -> N
 # Load, and the end.
 
 
+def asked(
+    path: str, scans: Path, count: int
+) -> tuple[list[httpx.Response], list[threading.Thread]]:
+    """Ask so many times at once: the answers, as they come, and the threads that wait for them."""
+    found: list[httpx.Response] = []
+    data = scans.read_bytes()
+    ask = lambda: found.append(httpx.post(path, content=data, timeout=60))  # noqa: E731
+    threads = [threading.Thread(target=ask) for _ in range(count)]
+    for thread in threads:
+        thread.start()
+    return found, threads
+
+
 def test_what_is_too_much_is_told_to_come_back_and_the_rest_is_answered(scans: Path) -> None:
     with served(MAP, "--waiting", 2) as one:
-        found: list[httpx.Response] = []
-
-        def ask() -> None:
-            path = f"{one.address}/v1/localize?method=ght-v"
-            found.append(httpx.post(path, content=scans.read_bytes(), timeout=60))
-
-        threads = [threading.Thread(target=ask) for _ in range(8)]
-        for thread in threads:
-            thread.start()
+        found, threads = asked(f"{one.address}/v1/localize?method=ght-v", scans, 8)
         for thread in threads:
             thread.join(60)
         codes = sorted(answer.status_code for answer in found)
@@ -757,15 +762,7 @@ def test_an_answer_that_takes_too_long_is_given_up(scans: Path) -> None:
 
 def test_sigterm_ends_what_runs_and_refuses_the_rest(scans: Path) -> None:
     with served(MAP) as one:
-        found: list[httpx.Response] = []
-
-        def ask() -> None:
-            path = f"{one.address}/v1/localize?method=ght-v&index=0"
-            found.append(httpx.post(path, content=scans.read_bytes(), timeout=60))
-
-        threads = [threading.Thread(target=ask) for _ in range(5)]
-        for thread in threads:
-            thread.start()
+        found, threads = asked(f"{one.address}/v1/localize?method=ght-v&index=0", scans, 5)
         until = time.monotonic() + 30
         while time.monotonic() < until:
             text = httpx.get(f"{one.address}/metrics").text
