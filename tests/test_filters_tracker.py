@@ -599,6 +599,21 @@ def test_runs_are_the_same_every_time() -> None:
         assert run(name) == run(name)
 
 
+@pytest.mark.parametrize("by", [1e-9, 1e-6, 1e-3])
+def test_a_mount_that_trembles_changes_no_verdict(by: float) -> None:
+    some = piece(log(), range(9))
+    mounts = by * np.random.default_rng(0).standard_normal((9, 3))
+    pairs = zip(some.scans, mounts, strict=True)
+    shaken = tuple(replace(scan, T_base_laser=Pose2D(*mount)) for scan, mount in pairs)
+
+    def verdicts(scans: ScanSet) -> list[tuple[str, str]]:
+        features = features_of(WORLD)
+        made = make_filter("tracker", features, Options())
+        return [(m.belief.verdict, m.withheld) for m in follow(features, scans, made)]
+
+    assert verdicts(replace(some, scans=shaken)) == verdicts(some)
+
+
 def test_particles_are_as_many_as_they_need_to_be() -> None:
     how = ParticleOptions(least=50, most=1500)
     scans, features = piece(log(), range(9)), features_of(WORLD)

@@ -18,7 +18,7 @@ from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
-from tools import accidents, blackouts, drive, old_maps, sequences
+from tools import blackouts, drive, old_maps, sequences
 from tools.filters import Run, Searches, Trials, measure
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 4.0))
@@ -161,26 +161,3 @@ def test_old_maps_have_a_row_for_the_true_start_and_one_for_starts_from_anywhere
     assert true.split(" | ")[1:3] == ["true", "1.00"]
     assert anywhere.split(" | ")[1] == "2 from anywhere"
     assert anywhere.endswith("| 0 of 0 |")  # no run is 30 m long
-
-
-def test_accidents_of_a_log_change_no_verdict(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["accidents", str(folder), "--metres", "3"])
-    accidents.main()
-    name, scans, *others = capsys.readouterr().out.splitlines()[-1].strip("| ").split(" | ")
-    assert (name, scans, others[:4]) == ("hall", "6", ["0", "0", "0", "same"])
-    assert all(0.9 < float(share) < 1.1 for share in others[4:])
-
-
-def test_a_driver_that_reuses_its_buffer_overwrites_what_it_gave() -> None:
-    """Scans own their readings, so the first one is what it was."""
-    one, other = (LaserScan(np.full(90, r), ANGLES, range_max=30.0) for r in (2.0, 3.0))
-    first, second = accidents.refilled([one, other])
-    assert (first.ranges == 2.0).all()
-    assert (second.ranges == 3.0).all()
-
-
-def test_a_corridor_is_not_blind(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(accidents, "LENGTH", 4.0)
-    assert accidents.corridor(3.5, 0.003) == 0.0
