@@ -55,17 +55,17 @@ def read(text: str) -> tuple[dict[str, Origin], dict[str, Number]]:
     content = json.loads(text)
     sources = {name: Origin(**entry) for name, entry in content["sources"].items()}
     numbers = {
-        name: Number(**entry | {"value": _in_si(entry["value"], entry["unit"])})
+        name: Number(**entry | {"value": in_si(entry["value"], entry["unit"])})
         for name, entry in content["numbers"].items()
     }
     return sources, numbers
 
 
-def _in_si(value: Any, unit: Any) -> Any:
+def in_si(value: Any, unit: Any) -> Any:
     """A value, or a tuple of several, with radians for degrees."""
     if isinstance(value, list):
         units = unit if isinstance(unit, list) else [unit] * len(value)
-        return tuple(map(_in_si, value, units))
+        return tuple(map(in_si, value, units))
     return math.radians(value) if unit == "degrees" else value
 
 

@@ -114,10 +114,6 @@ def test_inverse_undoes_from_both_sides(a):
         np.testing.assert_allclose(matrix(identity), np.eye(3), atol=1e-9)
 
 
-def test_rotation_is_counter_clockwise():
-    np.testing.assert_allclose(rotation(np.pi / 2) @ [1, 0], [0, 1], atol=1e-12)
-
-
 @given(poses, st.lists(st.tuples(coordinates, coordinates, angles), max_size=4))
 def test_transform_poses_composes_each_row_and_comes_back(frame, rows):
     rows = np.array(rows, dtype=float).reshape(-1, 3)

@@ -24,10 +24,6 @@ def stack_of(method, seed=0, cell=0.1):
     return Likelihood(values, np.arange(12) * np.pi / 6, GridInfo(5, 7, cell), method)
 
 
-def test_every_method_that_has_a_stack_has_a_default():
-    assert set(DEFAULTS) == set(METHODS)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_one_and_no_blur_is_the_stack_as_it_is(method):
     stack = stack_of(method)

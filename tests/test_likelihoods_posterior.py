@@ -81,10 +81,6 @@ def test_a_temperature_is_positive_and_finite(temperature):
                   temperature=temperature)  # fmt: skip
 
 
-def test_the_beam_model_is_the_one_that_is_a_logarithm():
-    assert frozenset({"beam"}) == LOG_METHODS
-
-
 def test_log_likelihoods_may_be_of_any_size():
     values = np.array([[[-90_000.0, -90_001.0, -np.inf, 4e4]]], np.float32)
     got = posterior(values, "beam", np.array([[True, True, True, False]]))[0, 0]

@@ -36,8 +36,8 @@ LONG = 60  # lines of code of a function, without what its signature declares
 LIMITS: Mapping[str, tuple[int, int]] = {
     "code of imgloc": (30_459, 20_000),
     "code of lab and plans": (4_775, 3_700),
-    "code of tools": (8_896, 8_000),
-    "code of tests": (28_178, 26_000),
+    "code of tools": (8_916, 8_000),
+    "code of tests": (28_177, 26_000),
     f"functions of more than {LONG} lines": (0, 0),
     "modules of imgloc that a file imports, median": (6, 6),
     "arrows back up": (0, 0),

@@ -1,10 +1,25 @@
 """The recipe with one step off: the numbers and functions of a step reach the answers."""
 
 import json
+import math
+import sys
 from pathlib import Path
 
+import pytest
+
 from imgloc.numbers import NUMBERS, number
+from tools import vary
 from tools.ablate import BASE, STEPS, main
+
+
+def test_a_number_is_another_one_where_a_tool_runs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(NUMBERS, "align.stiff", NUMBERS["align.stiff"])  # it is put back
+    monkeypatch.setattr(sys, "argv", [])
+    vary.main(["align.stiff", "[0.1, 180]", "tools.script", "--some"])
+    assert sys.argv == ["tools.script", "--some"]
+    assert number("align.stiff") == (0.1, math.pi)
 
 
 def test_each_step_changes_numbers_that_are_there_or_a_function() -> None:
