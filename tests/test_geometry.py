@@ -12,7 +12,6 @@ from imgloc.geometry import (
     centre_of,
     inside,
     rotate_covariance,
-    rotation,
     theta_bin,
     transform_poses,
     uniform_thetas,
