@@ -125,17 +125,17 @@ def test_the_variance_in_front_of_a_wall_is_that_of_a_mean(n):
     ((xx, _, _), (_, yy, _), (_, _, tt)) = laplace(field, poses, xy, 100.0)[0]
     variance = 0.04**2
     lever = np.sum(xy[:, 1] ** 2)
-    cell, far = (RESOLUTION / 20) ** 2, np.mean(np.sum(xy**2, axis=1))
-    assert xx - cell == pytest.approx(1 / (n / variance + 1 / 0.5**2), rel=0.02)
+    off, far = 0.006**2, np.mean(np.sum(xy**2, axis=1))
+    assert xx - off == pytest.approx(1 / (n / variance + 1 / 0.5**2), rel=0.02)
     # Along the wall nothing is known but the extent.
     assert yy == pytest.approx(0.5**2, rel=1e-3)
-    assert tt - cell / far == pytest.approx(1 / (lever / variance + 1 / 0.25**2), rel=0.02)
+    assert tt - off / far == pytest.approx(1 / (lever / variance + 1 / 0.25**2), rel=0.02)
 
 
 def test_a_perfect_fit_is_no_finer_than_the_cells_allow():
     field, poses, xy = wall_ahead(9)
     xx = laplace(field, poses, xy)[0, 0, 0]
-    assert xx == pytest.approx((RESOLUTION / 20) ** 2 / 9 + (RESOLUTION / 20) ** 2, rel=1e-3)
+    assert xx == pytest.approx((RESOLUTION / 20) ** 2 / 9 + 0.006**2, rel=1e-3)
 
 
 def test_an_error_that_a_wall_shares_counts_more_than_that_of_each_reading():

@@ -1,4 +1,4 @@
-"""How far a refined pose may be off, from how well and how firmly its scan fits.
+"""The error that a refined pose may have, from how well and how firmly its scan fits.
 
 Least squares gives the mean square of the remaining distances times the inverse of ``J^T J``. The
 sensor's noise moves each reading by itself. The map's errors move neighbouring readings together:
@@ -18,7 +18,9 @@ from imgloc.search.rescore import pieces
 BLOCKS: int = number("covariance.blocks")
 """Blocks of neighbouring readings, each of which the jackknife leaves out once."""
 _LEAST = number("covariance.least")  # smallest residual that counts, as a share of a cell
-_WALLS = number("covariance.walls")  # standard deviation of a wall's place, in cells
+# Standard deviation of a pose because walls do not stand where they are drawn: metres at least, and
+# as a share of a cell.
+_WALLS, _OF_CELL = number("covariance.walls")
 
 
 def covariances(
@@ -62,10 +64,9 @@ def covariances(
     each = range(len(extent))
     information[:, each, each] += 1 / np.square(extent)
     out = (np.linalg.inv(information) + jackknife)[:, :3, :3]
-    # Walls are drawn in cells, so no pose is more exact than a share of a cell.
-    cell = _WALLS * cell
-    lever = max(float(np.sqrt(np.square(readings.ranges).mean())) if len(readings) else 0.0, cell)
-    out[:, range(3), range(3)] += np.square([cell, cell, cell / lever])
+    off = max(_WALLS, _OF_CELL * cell)
+    lever = max(float(np.sqrt(np.square(readings.ranges).mean())) if len(readings) else 0.0, off)
+    out[:, range(3), range(3)] += np.square([off, off, off / lever])
     deviation = np.sqrt(out[:, range(3), range(3)])
     shrink = np.minimum(1, np.array(extent[:3]) / deviation)
     out *= shrink[:, :, None] * shrink[:, None, :]
