@@ -598,17 +598,14 @@ class Evidence(ByContent):
     floor: Floor | None = None  #: left out, because the other readings fit far better without it
     #: divisor of log-likelihoods, and of what they are compared with
     temperature: Temperature = field(default_factory=Temperature)
-    #: (L,) logarithm of the volume of each listed hypothesis, as a share of that of all poses
-    log_volume: FloatArray = field(default_factory=lambda: np.empty(0))
+    #: logarithm of the volume of a hypothesis, as a share of that of all poses
+    log_volume: float = 0.0
     #: checks of the verdict in their order, up to the first that does not hold, which decided; if
     #: all hold, the verdict is ``unique``
     checks: tuple[Check, ...] = ()
     found: int = 0  #: number of modes that were found
     listed: int = 0  #: number of modes that are listed as hypotheses
     unlisted: float = 0.0  #: mass on this map that is at none of the listed hypotheses
-
-    def __post_init__(self) -> None:
-        freeze(self, np.float64, "log_volume")
 
     @property
     def net(self) -> float:

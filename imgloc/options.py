@@ -364,8 +364,6 @@ class Trust(Checked):
     most: Nats = number("Trust.most")
     #: mass that the best pose needs to be ``unique``
     mass: Share = number("Trust.mass")
-    #: number of neighbouring readings that share one error, for the covariances
-    correlated: Factor = number("Trust.correlated")
 
     def temperature_at(
         self, misfit: float, readings: int = 100, cell: float = 0.0

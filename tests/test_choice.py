@@ -28,10 +28,9 @@ def made(*scores: float, log_volume: float = -10.0) -> Localization:
     misfit = 1.5 - scores[0] / 100 if scores else np.nan
     temperature = Trust().temperature_at(misfit)
     gained = (scores[0] - 50) / temperature.value if scores else np.nan
-    volume = np.full(len(scores), log_volume)
     evidence = Evidence(
         100, 1.5, misfit, 0.5, gained, -number("weigh.pieces") * np.log(1 + 20 * (misfit < 2)),
-        temperature=temperature, log_volume=volume,
+        temperature=temperature, log_volume=log_volume,
     )  # fmt: skip
     return Localization(hypotheses, "unique", 0.0, 1.0, evidence=evidence)
 

@@ -16,6 +16,7 @@ from imgloc.features.distance import (
     distance_image,
     peeled,
     signed_distance,
+    straight_share,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -201,3 +202,27 @@ def test_lookups_keep_the_shape_and_nobody_changes_the_table():
         assert out.shape == (2, 3)
         assert out.dtype == np.float32
     assert not field.table.flags.writeable
+
+
+def straight_by_loops(occupied, run):
+    long = length = 0
+    for image in (occupied, occupied.T):
+        image = np.pad(image, 1)
+        for side in (-1, 1):
+            for row in range(1, len(image) - 1):
+                ends, run_so_far = [], 0
+                for column in range(image.shape[1]):
+                    if image[row, column] and not image[row + side, column]:
+                        run_so_far += 1
+                    else:
+                        ends.append(run_so_far)
+                        run_so_far = 0
+                length += sum(ends)
+                long += sum(one for one in ends if one >= run)
+    return long / length if length else 0.0
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.integers(1, 5))
+def test_straight_borders_equal_the_loops(seed, height, width, run):
+    occupied = np.random.default_rng(seed).random((height, width)) < 0.6
+    assert straight_share(occupied, run) == straight_by_loops(occupied, run)

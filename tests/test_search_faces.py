@@ -11,15 +11,14 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.io.calibration import calibration_path, load_calibrations, save_calibrations
 from imgloc.model import OccupancyGrid
-from imgloc.options import Options, Prior, Shared, Trust
+from imgloc.numbers import number
+from imgloc.options import Options, Prior, Shared
 from imgloc.search.faces import any_depth, depth_of, faces_met, on_faces
 from imgloc.search.modes import Modes
 from imgloc.search.rescore import score_poses
 from imgloc.search.weigh import stand_on_faces
 
 CELL, SIDE = 0.05, 4.0
-KNOWN, UNKNOWN = depth_of(Shared(depth=0.0)), depth_of(Shared())
-CORRELATED = Trust().correlated
 
 
 def room(cells: int, view: float) -> MapFeatures:
@@ -31,7 +30,11 @@ def room(cells: int, view: float) -> MapFeatures:
     walls[inner, inner] = False
     if view <= 90:
         walls[inner, : n // 2] = False
+    walls[:8:2, ::2] = walls[-8::2, ::2] = True  # specks that nobody drew
     return MapFeatures(OccupancyGrid(walls, ~walls, CELL))
+
+
+KNOWN, UNKNOWN = (depth_of(Shared(depth=depth), room(1, 360)) for depth in (0.0, None))
 
 
 def seen(cells: int, view: float, noise: float, depth: float = 0.0, seed: int = 0) -> Readings:
@@ -47,8 +50,7 @@ def errors(cells: int, view: float, noise: float, prior, depth: float = 0.0) -> 
     middle = features.grid.info.shape[0] * CELL / 2
     begin = np.array([[middle + 0.03, middle - 0.01, 0.01]])
     found = [
-        on_faces(begin, seen(cells, view, noise, depth, k), features, prior, correlated=CORRELATED)
-        for k in range(40)
+        on_faces(begin, seen(cells, view, noise, depth, k), features, prior) for k in range(40)
     ]
     return np.array([one.poses[0, :2] - middle for one in found])
 
@@ -71,10 +73,7 @@ def test_walls_on_both_sides_show_how_deep_the_faces_are(cells, view, depth):
     middle = features.grid.info.shape[0] * CELL / 2
     at = np.array([[middle, middle, 0.0]])
     found = [
-        on_faces(
-            at, seen(cells, view, 0.02, depth, k), features, any_depth(), correlated=CORRELATED
-        )
-        for k in range(10)
+        on_faces(at, seen(cells, view, 0.02, depth, k), features, any_depth()) for k in range(10)
     ]
     assert np.mean([one.depth for one in found]) == pytest.approx(depth, abs=0.012)
     assert np.mean([one.poses[0, 0] for one in found]) == pytest.approx(middle, abs=0.01)
@@ -99,9 +98,20 @@ def test_a_face_that_is_not_known_counts_along_the_view(cells, share):
     error, unknown = carried(cells, 90, Shared(), middle)
     assert abs(error[0]) < 2 * unknown[0]
     _, known = carried(cells, 90, Shared(depth=middle), middle)
-    assert known[0] < 0.6 * unknown[0]
     _, around = carried(cells, 360, Shared(), middle)
-    assert around[0] < 0.6 * unknown[0]  # a wall behind the sensor tells where the faces are
+    walls = number("covariance.walls")[0]  # what all of them have in common
+    scan, told, behind = (np.sqrt(v[0] ** 2 - walls**2) for v in (unknown, known, around))
+    assert told < 0.6 * scan
+    assert behind < 0.6 * scan  # a wall behind the sensor tells where the faces are
+
+
+def test_the_faces_of_drawn_walls_are_their_borders():
+    walls = room(3, 360).grid.occupied.copy()
+    walls[:8] = walls[-8:] = False  # no specks: all borders are straight
+    drawn = MapFeatures(OccupancyGrid(walls, ~walls, CELL))
+    assert depth_of(Shared(), drawn) == KNOWN
+    assert depth_of(Shared(depth=0.04), drawn) == (0.04, KNOWN[1])  # a calibration knows better
+    assert depth_of(Shared(), room(3, 360)) == UNKNOWN
 
 
 def test_a_pose_stays_where_no_sensor_can_be_at_the_new_one():
@@ -120,10 +130,10 @@ def test_a_pose_stays_where_no_sensor_can_be_at_the_new_one():
 
 def test_no_pose_and_no_face_are_no_error():
     features, few = room(1, 360), seen(1, 360, 0.0).spread(3)
-    settled = on_faces(np.empty((0, 3)), few, features, UNKNOWN, correlated=CORRELATED)
+    settled = on_faces(np.empty((0, 3)), few, features, UNKNOWN)
     assert settled.poses.shape == (0, 3)
     away = np.array([[-50.0, -50.0, 0.0]])  # off the map nothing is met: the pose stays
-    settled = on_faces(away, few, features, UNKNOWN, correlated=CORRELATED)
+    settled = on_faces(away, few, features, UNKNOWN)
     np.testing.assert_array_equal(settled.poses, away)
     assert settled.depth == pytest.approx(UNKNOWN[0])
 

@@ -18,7 +18,6 @@ TRUST = Trust(
     elsewhere=(-4.0, -0.5, 2.0),
     most=12.0,
     mass=0.9,
-    correlated=1.0,
 )
 misfits = st.floats(-5, 50)
 gains = st.floats(-100, 100)

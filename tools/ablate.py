@@ -57,6 +57,14 @@ def _each_pays(told: Any, own: Any, _: Any) -> Any:
     return np.logaddexp(told, own).sum(axis=1)
 
 
+def _no_blocks(A: Any, *_: Any) -> Any:
+    return np.zeros(A.shape[1:])
+
+
+def _alone(residual: Any, *_: Any) -> Any:
+    return np.ones(len(residual))
+
+
 def _any_number(trust: Any, misfit: float, _: int = 100, cell: float = 0.0) -> Any:
     from imgloc.model import Temperature
 
@@ -122,10 +130,16 @@ STEPS: Mapping[str, Step] = {
         "the mass of the best does not count", {"Trust.elsewhere": (-5.0, -0.235, 0.0)}, weighs=True
     ),
     "most": Step("evidence has no bound", {"Trust.most": 1e6}, weighs=True),
-    "jackknife": Step("covariances without blocks", {"faces.shared": 1e-6}, weighs=True),
-    "cell": Step("covariances without a share of the cell", {"faces.cell": 0.0}, weighs=True),
+    "jackknife": Step(
+        "covariances without blocks", instead={"search.covariance._jackknife": _no_blocks},
+        weighs=True,
+    ),
+    "sharing": Step(
+        "neighbours err each on its own", instead={"search.covariance.sharing": _alone}, weighs=True
+    ),
+    "drawn": Step("the face of a drawn wall is not known", {"distance.drawn": (1.0, 1.1)}),
+    "cell": Step("covariances without a share of the cell", {"covariance.walls": 0.0}, weighs=True),
     "spread": Step("covariances without maxima", {"faces.maxima": 0.0}, weighs=True),
-    "correlated": Step("neighbours err each on its own", {"Trust.correlated": 1.0}, weighs=True),
 }  # fmt: skip
 BASE = "as it is"
 RIGHT = (0.5, 10.0)  # metres, degrees

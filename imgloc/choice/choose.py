@@ -265,11 +265,9 @@ def choose(
     >>> from imgloc.model import Evidence, Hypothesis, Pose2D
     >>> def made(score):
     ...     pose = Hypothesis(Pose2D(0.0, 0.0), score, 1.0, np.eye(3))
-    ...     fit, volume = 1.5 - score / 100, np.array([-9.0])
+    ...     fit = 1.5 - score / 100
     ...     heat = Trust().temperature_at(fit)
-    ...     evidence = Evidence(
-    ...         100, 1.5, fit, gained=9.0, log_volume=volume, temperature=heat
-    ...     )
+    ...     evidence = Evidence(100, 1.5, fit, gained=9.0, log_volume=-9.0, temperature=heat)
     ...     return Localization((pose,), "unique", 0.0, 1.0, evidence=evidence)
     >>> choose({"cellar": made(-150.0), "attic": made(140.0)}).verdict
     'attic'
@@ -317,8 +315,8 @@ def log_evidence(answer: Localization, temperature: float) -> float:
         return float("-inf")
     # The modes of a tempered likelihood are wider by the root of the temperature.
     score = np.array([h.log_likelihood for h in answer.hypotheses])
-    terms = score / temperature + answer.evidence.log_volume + 1.5 * np.log(temperature)
-    return float(np.logaddexp.reduce(terms))
+    volume = answer.evidence.log_volume + 1.5 * np.log(temperature)
+    return float(np.logaddexp.reduce(score / temperature) + volume)
 
 
 def unknown_evidence(evidence: Sequence[float], lead: float) -> float:

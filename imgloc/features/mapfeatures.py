@@ -16,11 +16,14 @@ from imgloc.features.budget import (
     surface_count,
 )
 from imgloc.features.distance import (
+    DRAWN,
+    RUN,
     UNIT,
     DistanceField,
     distance_field,
     distance_image,
     peeled,
+    straight_share,
     wall_thickness,
 )
 from imgloc.features.fields import bmap, vmap
@@ -152,6 +155,12 @@ class MapFeatures:
         """Median thickness of the walls, metres: others draw them thicker than scans show them."""
         return wall_thickness(self.field.distance)
 
+    @cached_property
+    def straight(self) -> bool:
+        """True if the borders of most walls are so straight that somebody drew them."""
+        share = straight_share(self.grid.occupied, round(RUN / self.grid.resolution))
+        return bool(share > DRAWN)
+
     @property
     def peels(self) -> bool:
         """True if :meth:`thinner` walls are worth their memory: not on very large maps."""
@@ -186,6 +195,7 @@ class MapFeatures:
         """
         for there in self.both:
             _ = there.field, there.walls, there.standable, there.free, there.pyramid
+        _ = self.straight
         if self.peels:
             _ = self.thickness
             ahead = thinnest if self.grid.occupied.size <= AHEAD_CELLS else 0

@@ -23,7 +23,7 @@ from imgloc.model import OccupancyGrid, OrientedPoints
 Array = npt.NDArray[Any]
 
 #: Features that are kept.
-KEPT = ("surface", "visibility", "pyramid", "vmap", "walls", "field")
+KEPT = ("surface", "visibility", "pyramid", "vmap", "walls", "field", "straight")
 _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 
 
@@ -85,7 +85,7 @@ def _parts(name: str, value: Any) -> dict[str, Array]:
     if name == "pyramid":
         images = {f"{name}.image{i}": level.image for i, level in enumerate(value)}
         return images | {f"{name}.free{i}": level.free for i, level in enumerate(value)}
-    return {name: value.table if name == "field" else value}
+    return {name: np.asarray(value.table if name == "field" else value)}
 
 
 def _take(
@@ -122,6 +122,8 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
     if name == "field":
         table = _take(parts, "field", np.int16, (shape[0] * shape[1] + 1, 4))
         return DistanceField(table, *shape, features.grid.resolution)
+    if name == "straight":
+        return bool(_take(parts, name, np.bool_, ()))
     return _take(parts, name, np.float32, shape if name == "walls" else (2, *lattice.shape))
 
 

@@ -359,7 +359,7 @@ def fit_depth(
             pose = in_grid_frame(answer.hypotheses[0], features.grid.info).pose
             seen = one_per_place(scan.scaled(shared.scale), options.fused.place)
             seen, at = seen.spread(options.fused.rays), np.array([[pose.x, pose.y, pose.theta]])
-            settled = on_faces(at, seen, there, any_depth(), correlated=options.trust.correlated)
+            settled = on_faces(at, seen, there, any_depth())
             found.append(float(settled.depth[0]))
     _enough(len(found), len(scans))
     middle, error = _middle(np.array(found))

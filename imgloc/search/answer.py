@@ -7,7 +7,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import in_map_frame
 from imgloc.likelihoods.posterior import entropy
-from imgloc.model import FloatArray, Hypothesis, LaserScan, Localization
+from imgloc.model import LaserScan, Localization
 from imgloc.options import Options
 from imgloc.search.asked import effective
 from imgloc.search.hypotheses import as_hypotheses
@@ -52,7 +52,7 @@ def answered(
         elsewhere=elsewhere,
         evidence=replace(
             found.evidence,
-            log_volume=log_volumes(hypotheses, features),
+            log_volume=log_volume(features, options),
             checks=checks,
             found=len(mass),
             listed=len(hypotheses),
@@ -71,13 +71,12 @@ def answered(
     )
 
 
-def log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
-    """Logarithm (L,) of each hypothesis' volume, as a share of the volume of all poses.
+def log_volume(features: MapFeatures, options: Options) -> float:
+    """Logarithm of the volume of a hypothesis, as a share of that of all poses on the map.
 
-    The volume of a hypothesis is the integral of its Gaussian without the factor in front.
+    All hypotheses have that of the poses that refinement takes for one. Their covariances are no
+    measure of it: a bad fit is a wide one, and would count as many poses that fit.
     """
+    metres, radians = options.fused.same
     space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
-    # No covariance is narrower than the score allows. The rounding of the search, and a mode with a
-    # single maximum, therefore cost as much in every map.
-    volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in hypotheses]
-    return np.asarray(np.array(volumes) - np.log(space))
+    return float(np.log(2 * np.pi * metres**2 * radians / space))

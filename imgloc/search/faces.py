@@ -22,7 +22,7 @@ from imgloc.geometry import wrap
 from imgloc.model import FloatArray
 from imgloc.numbers import number
 from imgloc.options import DEEPEST, Shared
-from imgloc.search.hypotheses import LEAST
+from imgloc.search.covariance import LEAST, sharing
 from imgloc.search.refine import DAMPING, MAX_STEP, block_sums
 
 # Mean and standard deviation of the depth on a map of which nothing is known, and the standard
@@ -33,9 +33,13 @@ _WIDTHS = number("faces.widths")  # of the robust kernel, metres
 _SMOOTH = number("faces.smooth")  # slope of the field below which its direction is of no wall
 
 
-def depth_of(shared: Shared) -> tuple[float, float]:
-    """Mean and standard deviation, metres, of how deep in the walls of a map their faces are."""
-    return _DEPTH if shared.depth is None else (shared.depth, _KNOWN)
+def depth_of(shared: Shared, features: MapFeatures) -> tuple[float, float]:
+    """Mean and standard deviation, metres, of how deep in the walls of a map their faces are.
+
+    Walls with straight borders were drawn: their faces are the borders.
+    """
+    depth = 0.0 if shared.depth is None and features.straight else shared.depth
+    return _DEPTH if depth is None else (depth, _KNOWN)
 
 
 def any_depth() -> tuple[float, float]:
@@ -72,23 +76,25 @@ def faces_met(poses: FloatArray, readings: Readings, features: MapFeatures) -> F
     x, y, theta = (v[:, None] for v in poses.T)
     rho, psi = readings.ranges, theta + readings.angles
     ux, uy = np.cos(psi), np.sin(psi)
-    # A ray that comes to a wall is held one cell before it, and the distance there extrapolated:
-    # the field is smooth on this side, and in a wall of one cell it has no slope at all.
-    hit = cast_rays(features.walls, poses[:, None, :2], psi, rho + cell, cell)
-    held = np.minimum(rho, np.maximum(hit - cell, 0))
+    hit = cast_rays(features.walls, poses[:, None, :2], psi, rho + 4 * max(_WIDTHS), cell)
+    met = np.isfinite(hit)
+    hit = np.where(met, hit, rho)
+    # The normal is that of the field one cell before the wall: it is smooth on this side, and in a
+    # wall of one cell it has no slope at all.
+    held = np.maximum(hit - cell, 0)
     distance, gx, gy = field.lookup(x + held * ux, y + held * uy)
     slope = np.hypot(gx, gy)
     smooth = slope > _SMOOTH
     nx, ny = (np.where(smooth, g / np.maximum(slope, _SMOOTH), 0.0) for g in (gx, gy))
     facing = -(nx * ux + ny * uy)
-    before = distance - (rho - held) * facing
+    before = (hit - rho) * facing
     # How thick the wall is, from its border inward. Fine maps take no more than 20 steps.
     step = max(cell / 2, DEEPEST / 10)
     inward = (np.arange(np.ceil(2 * DEEPEST / step)) + 0.5)[:, None, None] * step + distance
     wall = field.lookup(x + held * ux - inward * nx, y + held * uy - inward * ny)[0] < 0
     thick = np.logical_and.accumulate(wall, axis=0).sum(axis=0) * step
     J = np.stack((nx, ny, rho * (ux * ny - uy * nx)), axis=1)
-    usable = smooth & (facing > _GRAZING)
+    usable = met & smooth & (facing > _GRAZING)
     return Faces(
         before, J, np.clip(facing, 0, 1), np.maximum(thick, step) / 2, usable.astype(np.float64)
     )
@@ -106,18 +112,12 @@ class Settled:
 
 
 def on_faces(
-    poses: FloatArray,
-    readings: Readings,
-    features: MapFeatures,
-    depth: tuple[float, float],
-    *,
-    correlated: float,
+    poses: FloatArray, readings: Readings, features: MapFeatures, depth: tuple[float, float]
 ) -> Settled:
     """Move poses (C, 3), grid frame, to where the readings end on the faces of the walls.
 
     The depth of the faces is found with each pose. `depth` has its mean and standard deviation
-    before, metres, from :func:`depth_of`. So many neighbouring readings as `correlated` share an
-    error.
+    before, metres, from :func:`depth_of`.
     """
     mean, deviation = depth
     deep = np.full(len(poses), mean)
@@ -127,7 +127,8 @@ def on_faces(
         J, residual = met.residuals(moved, deep)
         (A,), (b,), square = block_sums(J, residual, met.usable, width)
         A[:, range(3), range(3)] += DAMPING * len(readings)
-        strength = correlated * np.maximum(square, least**2) / deviation**2
+        strength = sharing(residual, met.usable, width, readings) * np.maximum(square, least**2)
+        strength /= deviation**2
         A[:, 3, 3] += strength
         b[:, 3] += strength * (deep - mean)
         step = np.linalg.solve(A, b[..., None])[..., 0]

@@ -1,21 +1,11 @@
-"""From scored poses to hypotheses: separated modes with masses and covariances."""
+"""From scored poses to hypotheses: separated modes with masses."""
 
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.distance import DistanceField
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
-from imgloc.numbers import number
-from imgloc.search.refine import normal_equations
 
-BLOCKS: int = number("hypotheses.blocks")
-"""Blocks of neighbouring readings, each of which the jackknife leaves out once."""
-# Factor on the jackknife's variance, because walls are longer than blocks; and the standard
-# deviation of a wall's place, in cells.
-_SHARED, _WALLS = number("hypotheses.shared"), number("hypotheses.walls")
-LEAST = number("hypotheses.least")
-"""Smallest residual that counts, as a share of a cell."""
 _TOGETHER = 64  # poses that are compared with all others at a time
 
 
@@ -120,87 +110,6 @@ def modes(
         some *= 2
 
 
-def covariances(
-    poses: FloatArray,
-    xy: FloatArray,
-    field: DistanceField,
-    *,
-    sigma: float,
-    correlated: float,
-    extent: tuple[float, float],
-) -> FloatArray:
-    """Covariance (C, 3, 3) of each pose, from how well and how firmly its scan fits.
-
-    Least squares gives the mean square of the remaining distances times the inverse of ``J^T J``.
-    These distances contain the sensor's noise and the map's rounding to cells. The error of a wall
-    moves neighbouring readings together. A linearised jackknife therefore leaves out one block of
-    neighbouring readings after another, and adds the variance of the pose.
-
-    Parameters
-    ----------
-    poses : (C, 3) float array
-        Refined poses, grid frame: metres, metres, radians.
-    xy : (N, 2) float array
-        Scan points, sensor frame, metres.
-    field : DistanceField
-        Signed distance to the surfaces of the map, metres.
-    sigma : float
-        Width of the robust kernel, metres.
-    correlated : float
-        Number of neighbouring readings that share their error: the staircase of a wall's cells.
-    extent : (float, float)
-        Half-widths of a mode, metres and radians. They limit the covariance along a corridor, where
-        the scan does not determine the pose.
-
-    Returns
-    -------
-    (C, 3, 3) float array
-        In m², m rad and rad²; positive definite.
-    """
-    equations = normal_equations(poses, xy, field, sigma, BLOCKS)
-    return covariances_from(
-        *equations, xy, sigma=sigma, correlated=correlated, cell=field.resolution,
-        extent=(extent[0], extent[0], extent[1]), shared=_SHARED, walls=_WALLS,
-    )  # fmt: skip
-
-
-def covariances_from(
-    blocks: FloatArray,
-    b: FloatArray,
-    square: FloatArray,
-    xy: FloatArray,
-    *,
-    sigma: float,
-    correlated: float,
-    cell: float,
-    extent: tuple[float, ...],
-    shared: float,
-    walls: float,
-) -> FloatArray:
-    """Covariance (C, 3, 3) of each pose, from the sums of :func:`~imgloc.search.refine.block_sums`.
-
-    The first three parameters are the pose. What else was refined with it, the scan may not have
-    determined. `extent` has the half-width of a mode in x, y and theta, and the standard deviation
-    of each further parameter before the scan. `cell` is the side of a cell of the map, metres, and
-    `walls` the standard deviation of a wall's place, in cells. `shared` is a factor on the variance
-    of the jackknife. The other arguments are those of :func:`covariances`.
-    """
-    A, jackknife = blocks.sum(axis=0), _jackknife(blocks, b, sigma, extent)
-    variance = correlated * np.maximum(square, np.square(LEAST * cell))
-    information = A / variance[:, None, None]
-    each = range(len(extent))
-    information[:, each, each] += 1 / np.square(extent)
-    out = (np.linalg.inv(information) + shared * jackknife)[:, :3, :3]
-    # Walls are drawn in cells, so no pose is more exact than a share of a cell.
-    cell = walls * cell
-    lever = max(float(np.sqrt(np.square(xy).sum(axis=1).mean())) if len(xy) else 0.0, cell)
-    out[:, range(3), range(3)] += np.square([cell, cell, cell / lever])
-    deviation = np.sqrt(out[:, range(3), range(3)])
-    shrink = np.minimum(1, np.array(extent[:3]) / deviation)
-    out *= shrink[:, :, None] * shrink[:, None, :]
-    return np.asarray((out + out.transpose(0, 2, 1)) / 2)
-
-
 def centres(
     poses: FloatArray,
     score: FloatArray,
@@ -253,18 +162,6 @@ def centres(
     mean += poses[best]
     mean[:, 2] = wrap(mean[:, 2])
     return mean, covariance
-
-
-def _jackknife(A: FloatArray, b: FloatArray, sigma: float, extent: tuple[float, ...]) -> FloatArray:
-    """Covariance (C, D, D) of D parameters: each block of equations is left out once."""
-    left = A.sum(axis=0) - A
-    # A direction that one block alone determines moves no farther than the mode is long.
-    each = range(len(extent))
-    left[..., each, each] += np.square(sigma) / np.square(extent)
-    moved = -np.linalg.solve(left, (b.sum(axis=0) - b)[..., None])[..., 0]
-    moved -= moved.mean(axis=0)
-    n = len(b)
-    return np.asarray((n - 1) / n * np.einsum("gci,gcj->cij", moved, moved))
 
 
 def as_hypotheses(

@@ -73,11 +73,26 @@ def normal_equations(
     Poses with a scale give (G, C, 4, 4) and (G, C, 4). The third result (C,) is the weighted mean
     of ``e^2`` over all readings, m²: it is small where the scan fits well.
     """
+    return block_sums(*residuals(poses, xy, field), 1, sigma, blocks)
+
+
+def residuals(
+    poses: FloatArray, xy: FloatArray, field: DistanceField
+) -> tuple[Float32Array, Float32Array]:
+    """Derivatives (C, 3, N), or (C, 4, N) with a scale, of the endpoint distances (C, N), metres.
+
+    The arguments are those of :func:`normal_equations`.
+    """
     dx, dy, distance, gx, gy = endpoints(poses, xy, field)
     by = [gx, gy, dx * gy - dy * gx]
     if poses.shape[1] == 4:
         by.append((dx * gx + dy * gy) / poses[:, 3:].astype(np.float32))
-    return block_sums(np.stack(by, axis=1), distance, 1, sigma, blocks)
+    return np.stack(by, axis=1), distance
+
+
+def kernel(residual: AnyFloat, sigma: float) -> AnyFloat:
+    """Weight of each residual, metres, by a Geman-McClure kernel of width `sigma`, metres."""
+    return 1 / np.square(1 + np.square(residual) / np.float32(sigma * sigma))
 
 
 def block_sums(
@@ -89,8 +104,7 @@ def block_sums(
     width `sigma`, metres, weighs them, times `usable` (C, N). The rest is as in
     :func:`normal_equations`.
     """
-    square = np.square(residual)
-    weight = usable / np.square(1 + square / np.float32(sigma * sigma))
+    weight = usable * kernel(residual, sigma)
     # The residual as one more derivative: one product of matrices gives all sums.
     D, n = J.shape[1:]
     both: npt.NDArray[Any] = np.concatenate((J, residual[:, None]), axis=1)
@@ -100,7 +114,7 @@ def block_sums(
     sums = np.stack([weighted[part] @ both[part].transpose(0, 2, 1) for part in parts])
     sums = sums.astype(np.float64)
     least = np.finfo(np.float32).tiny  # no reading may be usable
-    mean = (weight * square).sum(axis=1) / np.maximum(weight.sum(axis=1), least)
+    mean = (weight * np.square(residual)).sum(axis=1) / np.maximum(weight.sum(axis=1), least)
     return sums[..., :D], sums[..., D], mean.astype(np.float64)
 
 

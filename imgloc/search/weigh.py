@@ -12,17 +12,16 @@ from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.search.adapt import price
 from imgloc.search.background import unmapped_score
+from imgloc.search.covariance import covariances
 from imgloc.search.faces import depth_of, on_faces
-from imgloc.search.hypotheses import BLOCKS, covariances, covariances_from, masses
+from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes, temperature_of
 from imgloc.search.priors import ranked, stands
-from imgloc.search.refine import block_sums, refine
+from imgloc.search.refine import refine, residuals
 from imgloc.search.rescore import Scores, score_poses, things_at
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
-# On faces: factor on the jackknife's variance, and the deviation of a wall's place, in cells.
-_SHARED, _CELL = number("faces.shared"), number("faces.cell")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
 FROM_CELLS: tuple[float, ...] = number("refine.from_cells")
 """Widths of the kernel that takes a pose from the centre of a cell to where it fits, metres."""
@@ -108,9 +107,11 @@ def covariances_there(
 
     `spread` has the second moments of the maxima around them, of L poses at least.
     """
+    J, residual = residuals(poses, readings.xy, features.field)
+    metres, radians = options.fused.separation
     out = covariances(
-        poses, readings.xy, features.field, sigma=2 * min(options.model.sigmas),
-        correlated=options.trust.correlated, extent=options.fused.separation,
+        J, residual, 1, readings, sigma=2 * min(options.model.sigmas),
+        cell=features.grid.resolution, extent=(metres, metres, radians),
     )  # fmt: skip
     return out if spread is None else out + _MAXIMA * spread[: len(poses)]
 
@@ -138,14 +139,12 @@ def stand_on_faces(
 
     A pose stays where it was if a sensor cannot be at the new place. The covariances are (L, 3, 3).
     """
-    seen, trust, (metres, radians) = found.readings, options.trust, options.fused.separation
-    sigma, prior = 2 * min(options.fused.model.sigmas), depth_of(found.shared)
-    there = on_faces(poses, seen, features, prior, correlated=trust.correlated)
-    equations = block_sums(there.J, there.residual, there.usable, sigma, BLOCKS)
-    covariance = covariances_from(
-        *equations, seen.xy, sigma=sigma, correlated=trust.correlated,
-        cell=features.grid.resolution, extent=(metres, metres, radians, prior[1]),
-        shared=_SHARED, walls=_CELL,
+    (metres, radians), prior = options.fused.separation, depth_of(found.shared, features)
+    there = on_faces(poses, found.readings, features, prior)
+    covariance = covariances(
+        there.J, there.residual, there.usable, found.readings,
+        sigma=2 * min(options.fused.model.sigmas), cell=features.grid.resolution,
+        extent=(metres, metres, radians, prior[1]),
     )  # fmt: skip
     if found.spread is not None:
         covariance = covariance + _MAXIMA_ON_FACES * found.spread[: len(poses)]

@@ -16,6 +16,7 @@
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -238,13 +239,14 @@ def run_precision(given: argparse.Namespace) -> int:
     rows: list[Precision] = []
 
     def measure(
-        name: str, features: MapFeatures, told: ScanSet, fit: ScanSet, *truth: float
+        name: str, features: MapFeatures, told: ScanSet, fit: ScanSet, sigma: float = math.nan
     ) -> None:
         """Measure once as it is and, if so asked, once with the depth that other scans fit."""
-        rows.append(precision(name, features, told, truth or TRUTH))
+        truth = TRUTH if math.isnan(sigma) else EXACT
+        rows.append(precision(name, features, told, truth, sigma=sigma))
         if given.known:
             what, options = knowing(features, fit)
-            rows.append(precision(f"{name}, {what}", features, told, truth or TRUTH, options))
+            rows.append(precision(f"{name}, {what}", features, told, truth, options, sigma))
 
     maps = {path.parent.name: prepare(load_map(path)) for path in given.maps}
     total = len(NOISES) * (len(worlds) + len(maps)) + len(sets)
@@ -254,7 +256,7 @@ def run_precision(given: argparse.Namespace) -> int:
                 sensor = Sensor(sigma=sigma, fov=2 * np.pi, rays=361)
                 grid, told = in_world(name, given.n, given.seed, sensor, 0.05)
                 fit = in_world(name, given.n, given.seed + 1, sensor, 0.05)[1]
-                measure(f"{name}, noise of {100 * sigma:g} cm", prepare(grid), told, fit, *EXACT)
+                measure(f"{name}, noise of {100 * sigma:g} cm", prepare(grid), told, fit, sigma)
                 advance()
         for name, features in maps.items():
             for sigma in NOISES:
@@ -262,7 +264,7 @@ def run_precision(given: argparse.Namespace) -> int:
                     simulate(features.grid, given.n, seed, Sensor(sigma=sigma))
                     for seed in (given.seed, given.seed + 1)
                 )
-                measure(f"{name}, noise of {100 * sigma:g} cm", features, told, fit, *EXACT)
+                measure(f"{name}, noise of {100 * sigma:g} cm", features, told, fit, sigma)
                 advance()
         for name, grid, scans in sets:
             # Every other scan is for the fit.

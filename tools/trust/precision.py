@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc import LaserScan, Localization, MapFeatures, Options, ScanSet, localize
-from imgloc.geometry import wrap
+from imgloc import LaserScan, Localization, MapFeatures, Options, Pose2D, ScanSet, localize
+from imgloc.geometry import in_grid_frame, wrap
+from imgloc.lab.bound import least_covariances
 from imgloc.lab.calibrate import fit_depth
 from imgloc.model import FloatArray
 from imgloc.options import Shared
@@ -42,6 +43,7 @@ class Precision:
     error: tuple[float, float]  #: root mean square, metres along one axis, radians
     #: mean error, metres: along the middle of the view, and to its left
     bias: tuple[float, float]
+    bound: float  #: least root mean square that any method could have, metres along one axis
 
     @property
     def ratio(self) -> float:
@@ -55,9 +57,13 @@ def precision(
     scans: ScanSet,
     truth: Sequence[float] = TRUTH,
     options: Options | None = None,
+    sigma: float = float("nan"),
 ) -> Precision:
-    """Measure one set of scans with poses; `truth` are the standard deviations of those."""
-    rows, claimed, errors, biases = [], [], [], []
+    """Measure one set of scans with poses; `truth` are the standard deviations of those.
+
+    The noise `sigma` of simulated ranges, metres, gives the bound.
+    """
+    rows, claimed, errors, biases, bounds = [], [], [], [], []
     for k, (scan, pose) in enumerate(scans.with_poses()):
         answer = localize(features, scan, options)
         found, covariance = best_of(answer)
@@ -79,13 +85,20 @@ def precision(
         claimed.append(np.sqrt([(x + y) / 2, turn]))
         errors.append([np.hypot(*error[:2]) / np.sqrt(2), error[2]])
         biases.append(_seen_from(error, pose[2] + middle_of_view(scan)))
+        at = in_grid_frame(Pose2D(*pose), features.grid.info)
+        (least,) = least_covariances(
+            features, np.array([[at.x, at.y, at.theta]]), scan.angles, scan.range_max, sigma
+        )
+        bounds.append(np.trace(least[:2, :2]) / 2)
     if not rows:
         nan = float("nan")
-        return Precision(name, 0, nan, nan, nan, *[(nan, nan)] * 3)
+        return Precision(name, 0, nan, nan, nan, (nan, nan), (nan, nan), (nan, nan), nan)
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     within, agree, moves = np.mean(rows, axis=0).tolist()
     means = np.median(claimed, axis=0), rms, np.mean(biases, axis=0)
-    return Precision(name, len(rows), within, agree, moves, *(tuple(v.tolist()) for v in means))
+    claims, off, bias = (tuple(v.tolist()) for v in means)
+    least = float(np.sqrt(np.mean(bounds)))
+    return Precision(name, len(rows), within, agree, moves, claims, off, bias, least)
 
 
 def knowing(features: MapFeatures, scans: ScanSet) -> tuple[str, Options]:
@@ -97,11 +110,13 @@ def knowing(features: MapFeatures, scans: ScanSet) -> tuple[str, Options]:
 def precision_table(rows: Sequence[Precision]) -> str:
     """The rows as Markdown."""
     head = "scans | `unique` and right | truth inside | halves agree | moved"
-    head += " | claimed m, deg | error m, deg | claimed / error | along, across the view cm"
+    head += " | claimed m, deg | error m, deg | claimed / error | error / bound"
+    head += " | along, across the view cm"
     cells = (
         (r.name, r.answers, *(f"{share:.2f}" for share in (r.inside, r.agree, r.moved)),
          *(f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error)),
-         f"{r.ratio:.1f}", ", ".join(f"{100 * m:+.1f}" for m in r.bias))
+         f"{r.ratio:.1f}", f"{r.error[0] / r.bound:.1f}".replace("nan", ""),
+         ", ".join(f"{100 * m:+.1f}" for m in r.bias))
         for r in rows
     )  # fmt: skip
     return "\n".join(table_lines(head, cells))
