@@ -14,6 +14,7 @@ import numpy as np
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, in_map_frame, pose_errors, poses_of
+from imgloc.lab.bound import least_covariances
 from imgloc.lab.evaluation import share
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import Options, Sensor
@@ -24,7 +25,7 @@ from imgloc.simulation.scans import ray_angles, refine_grid, simulate_ranges
 
 COLUMNS = (
     "x", "y", "theta", "kind", "mass", "error", "turn", "twin_x", "twin_y", "twin_theta",
-    "twin_mass", "places",
+    "twin_mass", "places", "bound",
 )  # fmt: skip
 """Columns of the table: map frame, metres and radians; `kind` is one of :data:`KINDS`."""
 KINDS = ("unique", "ambiguous", "no-match", "wrong")
@@ -49,13 +50,16 @@ class Spot:
     twin: Pose2D | None  #: the best hypothesis that is not the true pose, map frame
     twin_mass: float
     places: int = 1  #: places that fit: the fewest with the mass of a unique answer
+    #: least standard deviation that the position can have by one scan, metres; inf where walls
+    #: leave a direction free, NaN if the noise is not known
+    bound: float = float("nan")
 
     @property
     def row(self) -> list[object]:
         """Values of :data:`COLUMNS`."""
         twin = (None,) * 3 if self.twin is None else (self.twin.x, self.twin.y, self.twin.theta)
         pose = (self.pose.x, self.pose.y, self.pose.theta)
-        found = (self.mass, self.error, self.turn, *twin, self.twin_mass, self.places)
+        found = (self.mass, self.error, self.turn, *twin, self.twin_mass, self.places, self.bound)
         return [*pose, self.kind, *found]
 
 
@@ -66,7 +70,7 @@ def as_csv(spots: Sequence[Spot]) -> str:
     --------
     >>> nan = float("nan")
     >>> as_csv([Spot(Pose2D(1.0, 2.5), "no-match", 0.0, nan, nan, None, 0.0)]).split()[1]
-    '1.0,2.5,0.0,no-match,0.0,,,,,,0.0,1'
+    '1.0,2.5,0.0,no-match,0.0,,,,,,0.0,1,'
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -162,6 +166,8 @@ def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:
         "area": len(places) * step**2,
         **{kind: vars(share(spot.kind == kind for spot in spots)) for kind in KINDS},
         "unique_area": vars(share(all(flags) for flags in places.values())),
+        "bound": float(np.median([spot.bound for spot in spots] or [np.nan])),
+        "free": vars(share(spot.bound == np.inf for spot in spots)),
     }
 
 
@@ -240,21 +246,22 @@ def survey(
     scans: Sequence[tuple[Pose2D, LaserScan]],
     options: Options,
     *,
+    sigma: float = Sensor().sigma,
     workers: int = 1,
 ) -> Iterator[Spot]:
     """Locate scan after scan, and compare each with its true pose; yield the spots in that order.
 
-    Poses are the sensor's in the grid frame. `workers` is the number of processes. No result
-    depends on it.
+    Poses are the sensor's in the grid frame. The noise `sigma` of the ranges, metres, gives the
+    bound of each. `workers` is the number of processes. No result depends on it.
     """
     parts = [scans[k : k + _TOGETHER] for k in range(0, len(scans), _TOGETHER)]
     if workers == 1:
         for part in parts:
-            yield from _spots(grid, part, options)
+            yield from _spots(grid, part, options, sigma)
         return
     with Supervised(workers, module=__name__) as pool:
         try:
-            for done in [pool.submit(_spots, grid, part, options) for part in parts]:
+            for done in [pool.submit(_spots, grid, part, options, sigma) for part in parts]:
                 yield from done.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -265,10 +272,16 @@ _prepared = lru_cache(maxsize=1)(prepare)
 
 
 def _spots(
-    grid: OccupancyGrid, scans: Sequence[tuple[Pose2D, LaserScan]], options: Options
+    grid: OccupancyGrid, scans: Sequence[tuple[Pose2D, LaserScan]], options: Options, sigma: float
 ) -> list[Spot]:
     features = _prepared(grid)
-    return [_spot(features, pose, scan, options) for pose, scan in scans]
+    spots = [_spot(features, pose, scan, options) for pose, scan in scans]
+    at = np.array([[pose.x, pose.y, pose.theta] for pose, _ in scans])
+    laser = scans[0][1]
+    least = least_covariances(features, at, laser.angles, laser.range_max, sigma)
+    bounds = np.sqrt(least[:, 0, 0] + least[:, 1, 1])
+    bounds[bounds > grid.diagonal] = np.inf
+    return [replace(spot, bound=bound) for spot, bound in zip(spots, bounds.tolist(), strict=True)]
 
 
 def _spot(features: MapFeatures, pose: Pose2D, scan: LaserScan, options: Options) -> Spot:

@@ -21,8 +21,9 @@ def least_covariances(
     """Covariance (C, 3, 3) below which no method gets, at poses (C, 3), grid frame: Cramer-Rao.
 
     A scan of rays at `angles` (N,), radians, which ends at `reach`, metres, has independent noise
-    of standard deviation `sigma`, metres. With its expected ranges r the information of the pose is
-    ``sum_i (dr_i/dx)^T (dr_i/dx) / sigma^2``. Along a corridor the bound is some kilometres.
+    of standard deviation `sigma`, metres, a micrometre or more. With its expected ranges r the
+    information of the pose is ``sum_i (dr_i/dx)^T (dr_i/dx) / sigma^2``. Along a corridor the bound
+    is some kilometres.
 
     Examples
     --------
@@ -40,5 +41,5 @@ def least_covariances(
         seen = Readings(r[np.isfinite(r)].astype(np.float64), angles[np.isfinite(r)])
         met = faces_met(pose[None], seen, features)
         J = met.J[0] / np.maximum(met.facing[0], _FACING)
-        out[k] = np.linalg.inv(J @ J.T / sigma**2 + _NOTHING * np.eye(3))
+        out[k] = np.linalg.inv(J @ J.T / np.maximum(sigma, 1e-6) ** 2 + _NOTHING * np.eye(3))
     return out

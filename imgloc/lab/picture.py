@@ -1,5 +1,6 @@
 """Pictures of measurements: where on a map one scan is enough, and where a map has aged."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -24,16 +25,29 @@ REDS: Sequence[tuple[int, Colour, str]] = (
     (1 << 30, (25, 25, 140), "5 or more places"),
 )
 """Up to how many places that fit, the colour and the words. In grey they get darker, too."""
+BLUES: Sequence[tuple[float, Colour, str]] = (
+    (0.01, (140, 80, 20), "one scan is enough, to 1 cm at best"),
+    (0.05, ATLAS_COLOURS["unique"], "one scan is enough, to 5 cm at best"),
+    (np.inf, (235, 205, 160), "one scan is enough, less exact"),
+)
+"""Up to which bound of a pose by one scan, metres, the colour and the words."""
 _UNSEEN: Colour = (190, 186, 182)
 _MEANINGS = {
-    "unique": "one scan is enough",
     "no-match": "not recognized",
     "wrong": "sure, but wrong",
 }
 
 
-def _red(places: int) -> int:
-    return next(k for k, (most, _, _) in enumerate(REDS) if places <= most)
+def _look(spot: Spot) -> tuple[Colour, str]:
+    """The colour of a spot, and what it means."""
+    of: Mapping[str, tuple[float, Sequence[tuple[float, Colour, str]]]] = {
+        "unique": (np.nan_to_num(spot.bound, nan=BLUES[1][0], posinf=np.inf), BLUES),
+        "ambiguous": (spot.places, REDS),
+    }  # fmt: skip
+    if spot.kind not in of:
+        return ATLAS_COLOURS[spot.kind], _MEANINGS[spot.kind]
+    value, classes = of[spot.kind]
+    return next((colour, words) for most, colour, words in classes if value <= most)
 
 
 def draw_atlas(
@@ -50,19 +64,17 @@ def draw_atlas(
     arc = np.linspace(-half, half, 9)
     for spot in spots:
         pose = in_grid_frame(spot.pose, grid)
-        red = spot.kind == "ambiguous"
-        colour = REDS[_red(spot.places)][1] if red else ATLAS_COLOURS[spot.kind]
+        colour, _ = _look(spot)
         rim = 0.46 * step * np.column_stack((np.cos(arc + pose.theta), np.sin(arc + pose.theta)))
         canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), colour)
     canvas.image[(map_canvas(grid, part, INK).image == INK).all(axis=2)] = INK
-    kinds = [spot.kind for spot in spots]
-    reds = [_red(spot.places) for spot in spots if spot.kind == "ambiguous"]
-    counts = [(ATLAS_COLOURS[k], words, kinds.count(k)) for k, words in _MEANINGS.items()]
-    counts[1:1] = [(colour, words, reds.count(k)) for k, (_, colour, words) in enumerate(REDS)]
+    looks = Counter(_look(spot) for spot in spots)
+    known = [(colour, words) for classes in (BLUES, REDS) for _, colour, words in classes]
+    known += [(ATLAS_COLOURS[kind], words) for kind, words in _MEANINGS.items()]
     entries: list[Entry] = [
-        (colour, AREA, f"{words}: {100 * count / max(1, len(spots)):.1f} %")
-        for k, (colour, words, count) in enumerate(counts)
-        if count or k <= len(REDS)
+        (look[0], AREA, f"{look[1]}: {100 * looks[look] / max(1, len(spots)):.1f} %")
+        for k, look in enumerate(known)
+        if looks[look] or k <= len(REDS)
     ]
     entries += [(INK, "", "wedge: the way that the robot looks")] * (headings > 1)
     title = title or f"Is one scan enough? {len(spots):,} scans, {step:g} m apart"

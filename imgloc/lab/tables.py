@@ -23,6 +23,10 @@ def atlas_text(summary: Mapping[str, Any]) -> str:
         interval = f"[{100 * s['low']:.1f}, {100 * s['high']:.1f}]"
         lines.append(f"{percent(s['value']):>8} {interval}  {words}")
     lines.append("  in brackets: where the share lies with 95 % confidence")
+    lines.append(
+        f"a pose by one scan is exact to {summary['bound']:.3f} m at best (median of the poses); "
+        f"walls leave a direction free at {percent(summary['free']['value'])} of them"
+    )
     return "\n".join(lines)
 
 

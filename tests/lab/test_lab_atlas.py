@@ -168,6 +168,7 @@ def test_the_command_writes_a_picture_a_table_and_numbers(tmp_path: Path) -> Non
     assert len(listed) == found["poses"] == 2 * found["places"]
     kinds = [row["kind"] for row in listed]
     assert kinds.count("unique") == found["unique"]["hits"]
+    assert 0.001 < found["bound"] == np.median([float(row["bound"]) for row in listed]) < 0.1
     assert found["unique"]["low"] <= found["unique"]["value"] <= found["unique"]["high"]
     assert cv2.imdecode(np.fromfile(png, np.uint8), cv2.IMREAD_COLOR).shape[1] >= 1000
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "a.png"]

@@ -39,7 +39,7 @@ def atlas(
 
     Simulates a scan at each place and heading and locates it without a guess: unique (one pose, the
     right one), ambiguous (several places fit, drawn red), no-match, or wrong (unique, but
-    elsewhere).
+    elsewhere). Blue is the darker, the more exact a pose by one scan can be there.
     """
     from imgloc.cli import inputs
     from imgloc.lab.atlas import Spot, as_csv, simulate_at, summarise, survey
@@ -57,7 +57,9 @@ def atlas(
     about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(sensor))}
     scans, spots = simulate_at(grid, poses, sensor, seed, fine_image(map_path, grid)), list[Spot]()
     with progress("atlas", len(scans), lines=False) as advance:
-        for spot in survey(grid, scans, options, workers=_useful(count, len(scans))):
+        for spot in survey(
+            grid, scans, options, sigma=sensor.sigma, workers=_useful(count, len(scans))
+        ):
             spots.append(spot)
             advance()
     title = f"{map_name(map_path)}: is one scan enough? {len(spots):,} scans, {step:g} m apart"
