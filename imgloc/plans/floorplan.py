@@ -262,9 +262,8 @@ def _evened(
 
     Shadows, and the colours of rooms, are paper: what is wider than any wall.
     """
-    side = (
-        max(3, min(round(building.PIECE / resolution), min(grey.shape) // 4)) | 1
-    )  # odd: see opened
+    # Odd: see opened.
+    side = max(3, min(round(building.PIECE / resolution), min(grey.shape) // 4)) | 1
     kernel = np.ones((side, side), np.uint8)
     smooth = cv2.medianBlur(grey, 3)
     light, dark = cv2.dilate(smooth, kernel), cv2.erode(smooth, kernel)
@@ -275,7 +274,9 @@ def _evened(
     if inverted:
         grey, light = 255 - grey, 255 - dark
     paper = cv2.erode(light, kernel)
-    evened = cv2.divide(grey, np.maximum(paper, 1), scale=255)
+    # What is darker than the faintest line may be on the lightest paper is no other paper.
+    least = max(1, round(_LIGHT[0] * float(np.percentile(paper, 95))))
+    evened = cv2.divide(grey, np.maximum(paper, least).astype(np.uint8), scale=255)
     return np.asarray(evened, np.uint8), inverted
 
 

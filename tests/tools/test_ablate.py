@@ -1,7 +1,6 @@
 """The recipe with one step off: the numbers and functions of a step reach the answers."""
 
 import json
-import math
 import sys
 from pathlib import Path
 
@@ -13,13 +12,15 @@ from tools.ablate import BASE, STEPS, main
 
 
 def test_a_number_is_another_one_where_a_tool_runs(
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(NUMBERS, "align.stiff", NUMBERS["align.stiff"])  # it is put back
+    code = "import sys, imgloc.numbers as n; print(sys.argv[1:], n.number('align.same'))"
+    (tmp_path / "some_tool.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "argv", [])
-    vary.main(["align.stiff", "[0.1, 180]", "tools.script", "--some"])
-    assert sys.argv == ["tools.script", "--some"]
-    assert number("align.stiff") == (0.1, math.pi)
+    monkeypatch.setitem(NUMBERS, "align.same", NUMBERS["align.same"])  # it is put back
+    vary.main(["align.same", "7.5", "some_tool", "--some"])
+    assert capsys.readouterr().out == "['--some'] 7.5\n"
 
 
 def test_each_step_changes_numbers_that_are_there_or_a_function() -> None:
