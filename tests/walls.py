@@ -20,15 +20,15 @@ N = 24
 GRID = render(WORLDS["visibility"](), 0.1)
 
 
-def drawn(folder: Path, occupied: BoolArray) -> Path:
-    """The folder, with a map that has these walls, and a log from the world itself."""
+def drawn(folder: Path, occupied: BoolArray, n: int = N) -> Path:
+    """The folder, with a map that has these walls, and a log of `n` scans from the world itself."""
     save_map(folder / "map.yaml", replace(GRID, occupied=occupied, free=GRID.free & ~occupied))
-    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
+    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in np.arange(n) * N / n])
     fine = render(WORLDS["visibility"](), 0.05)
     ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
     scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
     odom = noisy_odometry(poses, np.random.default_rng(0))
-    save_scans(folder / "log.npz", ScanSet(scans, poses, 100.0 + np.arange(N), odom))
+    save_scans(folder / "log.npz", ScanSet(scans, poses, 100.0 + np.arange(n), odom))
     return folder
 
 
