@@ -96,3 +96,12 @@ def test_a_mirrored_map_sends_nobody_in_a_circle(tmp_path: Path) -> None:
     assert "the image of the map is mirrored. Mirror it, left to right" in run.out
     assert "--flipped" not in run.out
     assert "Leave out --flipped" in call("inspect", *files, "--flipped").out
+
+
+def test_odometry_that_leads_away_from_the_map_is_named(tmp_path: Path) -> None:
+    files = drawn(tmp_path, GRID.occupied, 48) / "map.yaml", tmp_path / "log.npz"
+    scans = load_scans(files[1])
+    save_scans(files[1], replace(scans, odom=scans.odom * (3.28, 3.28, 1.0)), force=True)
+    run = call("inspect", *files)
+    assert "disagree: " in run.out
+    assert run.out.splitlines()[-1].endswith("--odom scans")

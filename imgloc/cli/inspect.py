@@ -195,6 +195,8 @@ class _Look:
             mended.setdefault(word if word[:2] == "--" else list(mended)[-1], []).append(word)
         if "--range-scale" in mended:
             mended["--range-scale"][1] = f"{logs.scale * float(mended['--range-scale'][1]):g}"
+        if not follow:
+            mended.pop("--odom", None)
         if self.mounting.flipped and "--flipped" in mended:  # it is upright
             del typed["--flipped"], mended["--flipped"]
         return " ".join([*words, *_quoted(typed | mended)])
@@ -215,10 +217,10 @@ def _followed(
     from imgloc.filters.follow import Tracking, follow
     from imgloc.filters.motion import increments
 
-    wrong = any(finding.serious or finding.options for finding in report.findings)
+    doubted = any(found.code == "disagree" for found in report.findings)
+    wrong = any(f.serious or (f.options and f.code != "disagree") for f in report.findings)
     placed = report.facts["on_map"]
-    moves = placed["unique"] if report.can_be_followed else 0
-    if wrong or not moves or scans.odom is None:
+    if wrong or not report.can_be_followed or not placed["unique"] or scans.odom is None:
         return report
     some = scans.take(np.flatnonzero(np.isfinite(scans.odom).all(axis=1)).tolist())
     tracking = Tracking()
@@ -233,10 +235,14 @@ def _followed(
         return report
     unique = sum(moment.pose is not None for moment in moments)
     passed = aged_along(features.grid, some, moments, robot.options.shared)
-    if passed is None and 2 * unique < len(moments) and 2 * moves > sum(placed.values()):
+    serves, fits = 2 * unique >= len(moments), 2 * placed["unique"] > sum(placed.values())
+    if passed is None and fits and not serves and not doubted:
         passed = cause("disagree/along", unique=unique, count=len(moments))
     settled = passed is not None or unique >= FOLLOWED * len(moments)
-    rest = [found for found in report.findings if not (settled and found.code == "map")]
+    rest = [
+        replace(found, options="") if serves and found.code == "disagree" else found
+        for found in report.findings if not (settled and found.code == "map")
+    ]  # fmt: skip
     along = {"metres": moments[-1].metres, "scans": len(moments), "unique": unique}
     facts = {**report.facts, "followed": along}
     return replace(report, facts=facts, findings=(*filter(None, [passed]), *rest))
