@@ -91,8 +91,10 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     ``rostopic echo -p``, ``ros2 topic echo --csv``, bagpy and PlotJuggler are known, also those of
     a nav_msgs/Odometry, and the lines that ``ultra_simple`` of RPLIDAR's SDK prints. A file with
     columns such as ``angle`` and ``range``, ``angle_deg`` and ``distance_mm``, or with just two
-    columns of numbers, has one reading a line. Empty cells are NaN. Broken lines are left out, up
-    to the share `max_bad`, as is a last one that was cut off.
+    columns of numbers, or three with a quality, in any order, has one reading a line. A unit is in
+    the name of a column or in a comment, such as ``# unit: mm``; angles without one are of that in
+    which a turn fits. Empty cells are NaN. Broken lines are left out, up to the share `max_bad`, as
+    is a last one that was cut off.
     """
     name, settings, comment, units = display(path), dict[str, Any](), "", ["", ""]
     lines, body = lines_of(path), list[Row]()
@@ -336,8 +338,9 @@ class _Table:
         table = np.array([row for _, row in self.rows])
         if len(table) < 2 or table.shape[1] not in (2, 3):
             return {}
-        usual = np.median(steps := np.diff(table, axis=0), axis=0)
-        even = (2 * np.abs(steps - usual) < np.abs(usual)).mean(axis=0)
+        with np.errstate(invalid="ignore"):  # from infinite to infinite
+            usual = np.median(steps := np.diff(table, axis=0), axis=0)
+            even = (2 * np.abs(steps - usual) < np.abs(usual)).mean(axis=0)
         values = [len(np.unique(column)) for column in table.T]
         at = int(even.argmax()) if len(table) > _EVEN else 0
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
@@ -350,10 +353,10 @@ class _Table:
 
     def _radians(self, angles: FloatArray, unit: float) -> FloatArray:
         """Angles in radians; if no `unit` is given, they are of the one in which a turn fits."""
-        steps = np.abs(np.diff(angles))
-        step = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
-        high, low = float(np.nanmax(angles)), float(np.nanmin(angles))
-        span, most = high - low, max(high, -low)
+        known = angles[np.isfinite(angles)]
+        step = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
+        high, low = known.max(initial=-math.inf), known.min(initial=math.inf)
+        span, most = float(high - low), float(max(high, -low))
         if unit != 1 or (most <= 2 * math.tau and span <= math.tau + 2 * step):
             return angles * unit
         views = {name: (span + step) / times for name, times in _TIMES.items()}
