@@ -1,11 +1,15 @@
 """Walls that others drew, thick or bent, from the command line: stated, and aged."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command import MAPS, call, rows
 from walls import GRID, THICK, drawn, thick_in
+
+from imgloc import load_scans, save_scans
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +54,54 @@ def test_localize_and_track_say_that_a_map_has_aged(tmp_path: Path) -> None:
     for row, column in ((30, 80), (60, 120), (110, 60), (100, 150)):
         before[row : row + 8, column : column + 8] = True  # boxes that are gone
     files = drawn(tmp_path, before) / "map.yaml", tmp_path / "log.npz"
-    said = r"scans at sure poses pass (\d+) % of the walls in view: the map is old, has a wrong"
+    said = r"scans at sure poses pass (\d+)% of the walls in view"
     for command in ("localize", "track"):
         run = call(command, *files).ends(0)
         share = int(re.findall(said, " ".join(run.err.split()))[0])
         assert 5 <= share <= 15
         assert "sure poses" not in call(command, MAPS / "visibility.yaml", files[1]).err
+
+
+@pytest.mark.parametrize("times", [1.1, 1.25, 2.0])
+def test_a_wrong_resolution_and_a_wrong_unit_of_ranges_are_told_apart(
+    tmp_path: Path, times: float
+) -> None:
+    yaml, log = drawn(tmp_path, GRID.occupied) / "map.yaml", tmp_path / "log.npz"
+    text = yaml.read_text()
+    yaml.write_text(re.sub("resolution: .*", f"resolution: {0.1 * times}", text))
+    run = call("inspect", yaml, log)
+    assert "the cells of the map are of 0.1 m. Try --resolution 0.1\n  next" in run.out
+    yaml.write_text(text)
+    scans = load_scans(log)
+    short = tuple(scan.scaled(1 / times) for scan in scans.scans)
+    save_scans(log, replace(scans, scans=short), force=True)
+    (scale,) = re.findall(r"next .*--range-scale (\S+)", call("inspect", yaml, log).out)
+    assert float(scale) == pytest.approx(times, rel=0.02)
+
+
+def test_a_similar_building_is_another_place(tmp_path: Path) -> None:
+    walls, half = GRID.occupied.copy(), GRID.occupied.shape[1] // 2
+    walls[8:-8, half:-8] = walls[8:-8, half:-8][:, ::-1]  # the outer walls, and one half, stand
+    files = drawn(tmp_path, walls, 48) / "map.yaml", tmp_path / "log.npz"
+    for command in ("inspect", "track"):
+        run = call(command, *files)
+        assert "of the walls in view: this map is of another place" in run.out + run.err
+    assert "findings    none" in call("inspect", MAPS / "visibility.yaml", files[1]).out
+
+
+def test_a_mirrored_map_sends_nobody_in_a_circle(tmp_path: Path) -> None:
+    folder = drawn(tmp_path, np.fliplr(GRID.occupied), 48)
+    files = folder / "map.yaml", folder / "log.npz"
+    run = call("inspect", *files)
+    assert "the image of the map is mirrored. Mirror it, left to right" in run.out
+    assert "--flipped" not in run.out
+    assert "Leave out --flipped" in call("inspect", *files, "--flipped").out
+
+
+def test_odometry_that_leads_away_from_the_map_is_named(tmp_path: Path) -> None:
+    files = drawn(tmp_path, GRID.occupied, 48) / "map.yaml", tmp_path / "log.npz"
+    scans = load_scans(files[1])
+    save_scans(files[1], replace(scans, odom=scans.odom * (3.28, 3.28, 1.0)), force=True)
+    run = call("inspect", *files)
+    assert "disagree: " in run.out
+    assert run.out.splitlines()[-1].endswith("--odom scans")

@@ -211,6 +211,14 @@ def test_a_scan_that_passes_0_degrees_is_one_scan(tmp_path: Path) -> None:
     assert [len(scan.ranges) for scan in loaded(tmp_path, table([], around)).scans] == [360, 360]
 
 
+def test_odometry_may_have_a_yaw_and_units(tmp_path: Path) -> None:
+    said, names = "# angle_min=-1, angle_max=1\n", ["odom_x [mm]", "odom_y_mm", "odom_yaw_deg"]
+    rows = [[1500, -500, 90, *scan] for scan in RANGES]
+    scans = loaded(tmp_path, said + table([*names, *(f"r{k}" for k in range(RAYS))], rows))
+    assert scans.odom is not None
+    np.testing.assert_allclose(scans.odom[0], [1.5, -0.5, np.pi / 2])
+
+
 def test_points_are_no_scan(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="are points; expected columns angle and range: atan2"):
         loaded(tmp_path, table(["x", "y"], RANGES[:, :2].tolist()))
@@ -220,15 +228,39 @@ def test_points_are_no_scan(tmp_path: Path) -> None:
     ("angle_deg,distance_mm", 1e-3), ("Angle (°);Range [cm]", 1e-2), ("phi in deg,dist/mm", 1e-3),
     ("angle_degrees,distance_in_mm", 1e-3), ("phi [deg]\tr [millimeters]", 1e-3),
     ("angle_deg,distance", 1.0), ("angle_deg,scan_1 [cm]", 1e-2), ("phi_deg,r [ft]", 0.3048),
+    ("# unit: mm", 1e-3), ("# ranges are feet", 0.3048), ("# range_unit = 'cm'", 1e-2),
 ])  # fmt: skip
 def test_the_units_of_a_head_win(tmp_path: Path, head: str, metres: float) -> None:
-    mark = next(m for m in ";\t," if m in head)
+    mark = next((m for m in ";\t," if m in head), ",")
     rows = [[math.degrees(a), round(v)] for a, v in zip(ANGLES, 951 * RANGES[0], strict=True)]
     (scan,) = loaded(tmp_path, f"{head}\n" + table([], rows, mark)).scans
     np.testing.assert_allclose(scan.ranges, metres * np.round(951 * RANGES[0]))
     wide = table([f"r{k}_cm" for k in range(RAYS)], RANGES.tolist())
     (scan, *_) = loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + wide).scans
     np.testing.assert_allclose(scan.ranges, 0.01 * RANGES[0])
+
+
+@pytest.mark.parametrize(("times", "unit"), [
+    (1, "degrees"), (10, "tenths of a degree"), (100, "hundredths of a degree"),
+    (1000 * math.pi / 180, "milliradians"),
+])  # fmt: skip
+def test_angles_without_a_unit_are_of_that_in_which_a_turn_fits(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch,
+    times: float, unit: str,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    degrees = np.arange(0, 360, 360 / RAYS)
+    rows = np.column_stack((RANGES[0], times * degrees, np.full(RAYS, 47)))
+    for columns in ([1, 0], [0, 1], [0, 1, 2]):  # in either order, and with a quality
+        (scan,) = loaded(tmp_path, table([], rows[:, columns].tolist())).scans
+        np.testing.assert_allclose(scan.angles, np.deg2rad(degrees), atol=1e-6)
+        np.testing.assert_allclose(scan.ranges, RANGES[0])
+    assert f"they are taken for {unit}" in caplog.text
+    assert "column 2 rises or falls evenly: it is taken for the angle" in caplog.text
+    sector = [[a, 2.5] for a in np.linspace(-12, 12, 97)]
+    assert np.ptp(loaded(tmp_path, table([], sector))[0].angles) == pytest.approx(np.deg2rad(24))
+    with pytest.raises(ScanError, match="span 1000, expected radians or degrees; or call their"):
+        loaded(tmp_path, table([], [[10 * k, 2.5] for k in range(101)]))
 
 
 def test_what_the_sdk_of_rplidar_prints_is_read(tmp_path: Path) -> None:

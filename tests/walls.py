@@ -18,10 +18,10 @@ N = 24
 GRID = render(WORLDS["visibility"](), 0.1)
 
 
-def drawn(folder: Path, occupied: BoolArray) -> Path:
-    """The folder, with a map that has these walls, and a log from the world itself."""
+def drawn(folder: Path, occupied: BoolArray, n: int = N) -> Path:
+    """The folder, with a map that has these walls, and a log of `n` scans from the world itself."""
     save_map(folder / "map.yaml", replace(GRID, occupied=occupied, free=GRID.free & ~occupied))
-    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
+    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in np.arange(n) * N / n])
     save_scans(folder / "log.npz", drive(poses))
     return folder
 

@@ -107,6 +107,7 @@ class Given:
 _wrong = partial(Cause, "")
 _warns, _look = partial(Cause, "", serious=False), partial(Cause, "", found=False)
 _SCALED, _UPSIDE_DOWN = "`range_scale={factor:g}`", "`flipped=True`"
+_CELLS, _SCANS = "`resolution={cells:.4g}`", "`odom=scans`"
 AGREE = "scans and odometry agree only "
 _RAY_BY_RAY = "imgloc localize MAP SCANS `index=N` `explain=why.html` shows one ray by ray"
 _ONCE_FOR_ALL = (
@@ -118,7 +119,7 @@ _WHERE, OLD = "imgloc map changes MAP SCANS shows where", "an old map? see imglo
 CAUSES: Mapping[str, Cause] = MappingProxyType({
     # Seen in readings, stamps and odometry.
     "stamps": _warns("all stamps are the same: they are no times"),
-    "stamps/unit": _warns("the scans are {step:,.4g} s apart: are the stamps milliseconds?"),
+    "stamps/unit": _warns("the scans are {step:,.4g} s apart: are the stamps {unit}?"),
     "order": _warns("{stamps} back"),
     "units": _wrong("half of the ranges are above {middle:.4g} m{beyond}: are they {unit}?",
                     _SCALED, "{unit}? " + _SCALED),
@@ -136,9 +137,10 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
                        "{metres:.2f} m away: is it the robot itself? Raise range_min of the file, "
                        "or leave these rays out"),
     "odometry-part": _warns("{count:,} scans have no odometry within 1 s: track leaves them out"),
-    "odometry-zero": _wrong("the odometry never moves, but the scans change: it was not recorded"),
+    "odometry-zero": _wrong("the odometry never moves, but the scans change: it was not recorded",
+                            _SCANS),
     "odometry-units": _wrong("the odometry moves {fast:.4g} m{each}: are these millimetres or "
-                             "centimetres? Write metres"),
+                             "centimetres? Write metres, or try " + _SCANS, _SCANS),
     "odometries": _warns("{names}: {what}; `odom={first}` takes it all the same"),
     "gap": _warns("no scan for {seconds:.3g} s after scan {scan}, while the robot went "
                   "{metres:.3g} m: it may be lost there"),
@@ -155,16 +157,20 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers/topics": _warns("{count} lasers: this is {first}; `topic={names}` follows all of "
                                 "them"),
     # Tried by laying scans over each other, as the odometry moved the sensor.
-    "two-lasers/odd": _warns("of {laser} only {share:.0%} of the readings fall on an earlier scan, "
-                             "as the odometry has it: is its place on the robot wrong?"),
+    "two-lasers/odd": _wrong("of {laser} only {share:.0%} of the readings fall on an earlier scan, "
+                             "as the odometry has it, but {better:.0%} if it {how}. Mend its place "
+                             "on the robot, or leave it out", "`topic={others}`"),
     "two-lasers/apart": _warns("{count} lasers: this is {first}; `topic` picks one of {names}"),
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "
-                       "poor, or on another clock, or is the place of the sensor wrong?"),
+                       "poor, or on another clock, or is the place of the sensor wrong, or "
+                       "missing (`sensor=X,Y,YAW`)? " + _SCANS + " does without it", _SCANS),
+    "disagree/along": _warns("scans fit this map one by one, but only {unique} of {count} have a "
+                             "unique pose along the odometry: is it wrong?", _SCANS),
     "flipped": _wrong(AGREE + "with the scans mirrored: the sensor {hangs} upside down",
                       _UPSIDE_DOWN),
     "odometry-turn": _wrong(AGREE + "with theta of the odometry negated: left and right are "
-                            "swapped"),
+                            "swapped", _SCANS),
     "mounting": _wrong(AGREE + "with the sensor turned by {turn:.0f} degrees on the robot",
                        "`sensor={sensor}`"),
     "view": _wrong(AGREE + "if the field of view is {right:.0f} degrees, not {view:.0f}: look at "
@@ -172,7 +178,7 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "view/stated": _wrong("{lead}if the field of view is {right:.4g} degrees, not {view:.4g}",
                           "`fov={right:.4g}`"),
     "lag": _wrong(AGREE + "with the odometry of about {late:.2g} {side} each scan: their clocks "
-                  "differ, or one is written late"),
+                  "differ, or one is written late", _SCANS),
     # Tried by locating some scans in another way, or seen in the map.
     "poses": _warns(NOT_TRUE),
     "calibration": _wrong("{fits} this map far better {than} {calibrated}", "",
@@ -184,11 +190,18 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "mirrored": _wrong("{fits} at one place if mirrored: is the sensor upside down, or the map's "
                        "image mirrored?", _UPSIDE_DOWN, "fits if mirrored: {advice}"),
     "mirrored/map": _wrong("scans fit the map only if mirrored, but agree with the odometry as "
-                           "they are: the image of the map is mirrored", _UPSIDE_DOWN,
-                           "the map is mirrored"),
-    "scale": _wrong("{fits} at one place if ranges are multiplied by {times:g}: {why} Try "
-                    + _SCALED + "{cells}", _SCALED,
-                    "fits with ranges x {times:g}: {why}"),
+                           "they are: the image of the map is mirrored. Mirror it, left to right",
+                           "", "the map is mirrored"),
+    "scale": _wrong("{fits} at one place if ranges are multiplied by {times:.4g}: {why} Try "
+                    + _SCALED + ", or " + _CELLS, _SCALED,
+                    "fits with ranges x {times:.4g}: {why}"),
+    "scale/map": _wrong("{fits} at one place if ranges are multiplied by {times:.4g}, but agree "
+                        "with the odometry as they are: the cells of the map are of {cells:.4g} m. "
+                        "Try " + _CELLS, _CELLS, "the map's resolution is {cells:.4g} m"),
+    "scale/ranges": _wrong("{fits} at one place, and agree with the odometry, if ranges are "
+                           "multiplied by {times:.4g}: their unit is another one, or they are "
+                           "too short or too long. Try " + _SCALED, _SCALED,
+                           "fits with ranges x {times:.4g}"),
     "plan": _wrong("the map: " + DRAWN, "", "the map looks like a drawing: imgloc map plan"),
     "old": _look("{none} not fit this map well, but they agree about the way between them, and "
                  "{share:.0%} of their rays fit there: the map may be old. " + _WHERE + "; "
@@ -198,9 +211,16 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "map": _look("{none} not fit this map{also}: is it the map of this place? imgloc which FOLDER "
                  "SCANS compares the maps of a folder; " + _RAY_BY_RAY,
                  short="another map? see imgloc which, imgloc map check"),
-    "map/undecided": _warns("no scan tried has one place on this map{besides}: it may be the map "
-                            "of another place. imgloc track MAP LOG tells within some metres, "
-                            "imgloc which FOLDER SCANS compares the maps of a folder"),
+    "old/walls": _look("scans at sure poses pass {share:.0%} of the walls in view: the map is old, "
+                       "has a wrong resolution, or is of another place. " + _WHERE, short=OLD,
+                       serious=False),
+    "map/other": _wrong("scans at sure poses pass {share:.0%} of the walls in view: this map is of "
+                        "another place, or much has changed since it was made. Do not rely on "
+                        "these poses before you know which. " + _WHERE + ", imgloc which FOLDER "
+                        "SCANS compares the maps of a folder", "", "another place, or an old map?"),
+    "map/undecided": _warns("{sure} of the scans tried have one place on this map{besides}: it may "
+                            "be the map of another place. imgloc track MAP LOG tells within some "
+                            "metres, imgloc which FOLDER SCANS compares the maps of a folder"),
     "none": _look("imgloc localize finds such scans at one place of {name}, because it takes for "
                   "granted that they are from that map; imgloc which does not"),
     "thick": _wrong("the walls of this map are drawn thick, as on maps that no laser made. imgloc "

@@ -7,19 +7,20 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
 from imgloc.answers.causes import Cause, Given, cause
-from imgloc.answers.scanmotion import widened
+from imgloc.answers.scanmotion import agreement, scaled_better, widened
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import looks_drawn, looks_swapped
 from imgloc.io.scanset import ScanSet
 from imgloc.model import SURE, Evidence, LaserScan, Localization, Pose2D, base_of, compose, inverse
 from imgloc.numbers import number
-from imgloc.options import Options, Prior, Shared, Trust
+from imgloc.options import SCALES, Options, Prior, Shared, Trust
 from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
@@ -35,8 +36,12 @@ _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, deg
 # share whose greatest is the longest one, and metres that no sensor sees.
 _LONG, _ROOM, _HALL, _NEARER, _UNSEEN = number("diagnose.long")
 _MOST = number("diagnose.most")  # of the readings
-UNITS = {"millimetres": 0.001, "centimetres": 0.01}  #: metres
-_FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
+MIRRORED = number("diagnose.mirrored")  # share that scans which agree with the odometry have
+UNITS = {"millimetres": 0.001, "centimetres": 0.01, "feet": 0.3048, "inches": 0.0254}  #: metres
+# The first ones are tried together: from one to the next, scans fit with a scale between.
+_FACTORS = (0.9, 1.1, 0.8, 1.25, 0.7, 1.4), (
+    0.001, 0.01, 0.5, 2.0, 0.3048, 3.2808, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5, 0.0254,
+)  # fmt: skip
 
 
 def is_doubtful(verdict: str, evidence: Evidence) -> bool:
@@ -51,8 +56,9 @@ def is_doubtful(verdict: str, evidence: Evidence) -> bool:
 
 
 def doubts(
-    features: MapFeatures, scans: ScanSet, said: Said, options: Options, given: Given | None = None
-) -> list[Cause]:
+    features: MapFeatures, scans: ScanSet, said: Said, options: Options,
+    given: Given | None = None, log: ScanSet | None = None,
+) -> list[Cause]:  # fmt: skip
     """Say what most likely keeps most of some scans from being placed, and what mends it.
 
     Causes are tried in the order of how much they explain: a calibration that is wrong, units that
@@ -70,6 +76,9 @@ def doubts(
         Verdict and evidence of each scan.
     given : Given, optional
         What was stated about the scans, so that no option is advised that was given already.
+    log : ScanSet, optional
+        All scans of the log that they are from, by default they alone: with odometry it shows
+        whether a sensor or the map is mirrored, and whether ranges or the map have another scale.
 
     Returns
     -------
@@ -88,7 +97,9 @@ def doubts(
         return []
     some = range(len(scans)) if fit else doubtful
     misfit = float(np.median([said[k][1].misfit for k in some]))
-    trial = _Trial(features, scans.take(some), options, given, one=len(scans) == 1, misfit=misfit)
+    trial = _Trial(
+        features, scans.take(some), options, given, len(scans) == 1, misfit, log or scans
+    )
     if found := trial.calibration(is_bent=bool(bent_)):
         return [found]
     if fit:
@@ -109,8 +120,9 @@ def doubts(
 
 
 def mirrored(
-    features: MapFeatures, scans: ScanSet, said: Said, options: Options, given: Given | None = None
-) -> Cause | None:
+    features: MapFeatures, scans: ScanSet, said: Said, options: Options,
+    given: Given | None = None, log: ScanSet | None = None,
+) -> Cause | None:  # fmt: skip
     """Say that scans which do not fit do so if left and right are swapped.
 
     A mirrored sensor fits a corridor, where both sides are alike, though walls seem to be gone.
@@ -122,8 +134,8 @@ def mirrored(
         return None
     misfit = float(np.median([said[k][1].misfit for k in doubtful]))
     some = scans.take(doubtful)
-    trial = _Trial(features, some, options, given or Given(), one=len(scans) == 1, misfit=misfit)
-    return trial.mirrored()
+    one, given = len(scans) == 1, given or Given()
+    return _Trial(features, some, options, given, one, misfit, log or scans).mirrored()
 
 
 @dataclass(frozen=True)
@@ -136,6 +148,7 @@ class _Trial:
     given: Given
     one: bool  #: whether there is only one scan
     misfit: float  #: median of the scans as they were located, nats per reading
+    log: ScanSet  #: the scans that they are from
 
     @property
     def tried(self) -> list[int]:
@@ -168,9 +181,10 @@ class _Trial:
             hopeful = found[-1].verdict == "unique" or lacks <= self.misfit
             if shared is None and hopeful and lacks > quick.fused.strained:
                 found[-1] = localize(self.features, scan, quick)
-            if found[-1].verdict != "unique" and not most:
+            missed = sum(a.verdict != "unique" for a in found)
+            if missed and (not most or 2 * missed >= len(self.tried)):
                 return []
-        return found if 2 * sum(a.verdict == "unique" for a in found) > len(found) else []
+        return found
 
     def calibration(self, *, is_bent: bool) -> Cause | None:
         """The scans fit far better without what was calibrated for the map.
@@ -207,7 +221,9 @@ class _Trial:
         middle, likely = units_of(self.scans.scans, longest)
         if not likely and middle <= longest:
             return None
-        fitting = ([name] for name, f in UNITS.items() if self.unique(lambda s, f=f: s.scaled(f)))  # type: ignore[misc]
+        fits = (lambda s, f=f: s.scaled(f) for f in UNITS.values())
+        found = (self.unique(change, most=True) for change in fits)
+        fitting = ([name] for name, answers in zip(UNITS, found, strict=True) if answers)
         units = next(fitting, likely)
         beyond = "" if likely else f", but the map is {longest:.3g} m from corner to corner"
         return units_cause(middle, units, beyond, self.given.range_scale) if units else None
@@ -246,22 +262,37 @@ class _Trial:
         """The scans fit if left and right are swapped."""
         if not self.unique(lambda scan: scan.flipped, most=True):
             return None
-        return cause("mirrored", self.given, fits=self.fits)
+        agrees, odom = math.nan, self.log.odom
+        if odom is not None and np.isfinite(odom).all():
+            agrees = agreement(self.log, odom).share
+        key = "mirrored/map" if agrees >= MIRRORED else "mirrored"
+        return cause(key, self.given, fits=self.fits)
 
     def scale(self) -> Cause | None:
         """The scans fit in other units, or the map has another resolution."""
-        resolution = self.features.grid.resolution
-        for factor in _FACTORS:
-            if not self.unique(lambda scan, factor=factor: scan.scaled(factor)):  # type: ignore[misc]
-                continue
-            unit = next((name for name, value in UNITS.items() if value == factor), None)
-            why = f"are they {unit}?" if unit else "is the map's resolution right?"
-            cells = (
-                "" if unit else f", or correct the map's resolution to {resolution / factor:g} m"
-            )
-            fits, asked = self.asked + self.fits, factor * self.given.range_scale
-            return cause("scale", fits=fits, times=factor, why=why, factor=asked, cells=cells)
-        return None
+        (near, far), shared = _FACTORS, self.options.shared
+        times, least = 1.0, self.misfit - _FITS
+        for factor in (*near, *far):
+            if times != 1 and factor in far:
+                break
+            scaled, scale = partial(LaserScan.scaled, factor=factor), factor * shared.scale
+            known = replace(shared, scale=np.clip(scale, *SCALES)) if factor in near else None
+            found = self.unique(None if known else scaled, shared=known, most=True)
+            lacks = float(np.median([answer.evidence.misfit for answer in found] or [np.inf]))
+            if lacks <= least:
+                scales = [answer.evidence.scale / shared.scale for answer in found]
+                times, least = float(np.median(scales)) if known else factor, lacks
+        if times == 1:
+            return None
+        cells = self.features.grid.resolution / times
+        nice = round(cells, 2)
+        cells = nice if math.isclose(nice, cells, rel_tol=0.02) else cells
+        better = scaled_better(self.log, times)
+        key = {None: "scale", True: "scale/ranges", False: "scale/map"}[better]
+        unit = next((name for name, value in UNITS.items() if value == times), None)
+        why = f"are they {unit}?" if unit else "is the map's resolution right?"
+        fits, asked = self.asked + self.fits, times * self.given.range_scale
+        return cause(key, fits=fits, times=times, why=why, factor=asked, cells=cells)
 
     def elsewhere(self) -> Cause:
         """Nothing helps: an old map if the scans agree about where they are, else another one."""

@@ -11,7 +11,7 @@ import itertools
 import logging
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -50,8 +50,7 @@ _FEW, _CLOSE = number("logcheck.few")
 _STANDS = number("logcheck.stands")
 _BARS = number("logcheck.bars")
 _MANY = number("logcheck.many")
-_LOCATED = number("logcheck.located")
-MIRRORED = number("logcheck.mirrored")
+_LOCATED: Sequence[int] = number("logcheck.located")
 _OLD = number("logcheck.old")
 FOLLOWED: float = number("logcheck.followed")
 """Share of unique poses from which a robot counts as followed, so that nothing is looked for."""
@@ -101,7 +100,9 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
         _add(findings, "stamps")
         times = None
     if times and 0 < (pace := times["per_second"] or 0.0) < 1 / _SPARSE:
-        _add(findings, "stamps/unit", step=1 / pace)
+        units = {"milliseconds": 1e4, "microseconds": 1e7, "nanoseconds": math.inf}
+        unit = next(name for name, below in units.items() if 1 / pace < below)
+        _add(findings, "stamps/unit", step=1 / pace, unit=unit)
     if times and times["back"]:
         back = times["back"]
         stamps = "a stamp goes" if back == 1 else f"{back:,} stamps go"
@@ -151,15 +152,17 @@ def on_map(
     sure = [answer.explained for answer in answers if answer.verdict == "unique"]
     facts["not_on_map"] = 1 - float(np.median(sure)) if sure else None
     said = [(answer.verdict, answer.evidence) for answer in answers]
-    if not _UNDONE & {f.code for f in findings if f.options or f.code != "units"}:
-        if 2 * len(sure) < len(answers):
-            causes = doubts(features, some, said, options, given)
-        else:
-            causes = [*filter(None, [mirrored(features, some, said, options, given)])]
-        for found in _with_motion(causes, report, given):
-            codes = {"mirrored": "flipped", "mirrored/map": "mirrored", "units": "units"}
-            code = codes.get(found.code, "map")
-            findings = [f for f in findings if f.code != "units"]  # the map decides between two
+    if not _UNDONE & {f.code for f in findings if f.code != "units"}:
+        about = features, some, said, options, given, scans
+        causes = doubts(*about) if 2 * len(sure) < len(answers) else []
+        causes = causes or [*filter(None, [mirrored(*about)])]
+        for found in causes:
+            if found.code == "thick":  # whose advice is to follow the robot
+                continue
+            code = {"mirrored": "flipped", "units": "units"}.get(found.code, "map")
+            code = "mirrored" if found.code == "mirrored" and not found.options else code
+            told = {"units"} | ({"disagree"} if found.code == "scale" else set())
+            findings = [f for f in findings if f.code not in told]  # the map decides
             findings.append(replace(found, code=code, serious=code != "map" or not sure))
     facts["poses_fit"] = facts["odometry_fits"] = None
     if not _UNDONE & {finding.code for finding in findings}:
@@ -167,34 +170,33 @@ def on_map(
             facts["poses_fit"] = poses_fit(features.grid, scans.scans, scans.poses)
             if facts["poses_fit"] is False and sure:
                 findings.append(cause("poses"))
+                if scans.odom is None:  # as who follows the robot takes them
+                    moved = replace(scans, odom=scans.poses)
+                    facts["odometry"] = _about_odometry(moved, set(), findings)
         if scans.odom is not None and np.isfinite(scans.odom).all():
             at = sensor_poses(scans)
             facts["odometry_fits"] = poses_fit(features.grid, scans.scans, at)
-        if answers and not sure and not {"map", "mirrored"} & {f.code for f in findings}:
+        unsure = 2 * len(sure) < len(answers)
+        if unsure and not {"map", "mirrored", "flipped"} & {f.code for f in findings}:
             besides = ", and the recorded poses do not fit it" * (facts["poses_fit"] is False)
-            findings.append(cause("map/undecided", besides=besides))
+            findings.append(cause("map/undecided", sure=len(sure) or "none", besides=besides))
     return replace(report, facts=facts, findings=tuple(_sorted(findings)))
 
 
 def located(
     features: MapFeatures, scans: ScanSet, options: Options
 ) -> tuple[ScanSet, list[Localization]]:
-    """A few scans of a log that see enough, from all of it, and their answers."""
+    """A few scans of a log that see enough, from all of it, and their answers.
+
+    They are more unless each is ``unique``.
+    """
     some = [k for k, s in enumerate(scans.scans) if s.directions >= options.trust.readings]
-    few = scans.take([some[k] for k in evenly(len(some), _LOCATED).tolist()])
-    return few, list(localize_many(features, few.scans, options))
-
-
-def _with_motion(
-    causes: Sequence[Cause], report: LogReport, given: Given | None
-) -> Iterator[Cause]:
-    """Causes found on a map: mirrored scans that agree with the odometry are of a mirrored map."""
-    agrees = report.facts["agreement"]
-    for found in causes:
-        if found.code == "mirrored" and agrees is not None and agrees >= MIRRORED:
-            yield replace(cause("mirrored/map", given), code="mirrored/map")
-        elif found.code != "thick":  # whose advice is to follow the robot
-            yield found
+    for most in _LOCATED:
+        few = scans.take([some[k] for k in evenly(len(some), most).tolist()])
+        answers = list(localize_many(features, few.scans, options))
+        if all(answer.verdict == "unique" for answer in answers):
+            break
+    return few, answers
 
 
 def doubt_of_log(
@@ -214,8 +216,10 @@ def doubt_of_log(
         return first
     some, answers = located(features, scans, options)
     said = [(answer.verdict, answer.evidence) for answer in answers]
-    causes = doubts(features, some, said, options, given)
-    found = next(_with_motion(causes, report, given), None)
+    causes = doubts(features, some, said, options, given, scans)
+    found = next((found for found in causes if found.code != "thick"), None)
+    if not causes:
+        found = mirrored(features, some, said, options, given, scans)
     if found is not None and found.code == "map" and followed >= _OLD:
         return cause("old/followed", share=followed)
     if found is None and start is not None:
@@ -419,12 +423,14 @@ def _about_motion(
         return None
     found = agreement(scans, path)
     if len(scans.lasers) > 1 and (odd := odd_laser(scans, path)) is not None:
-        _add(findings, "two-lasers/odd", laser=odd[0], share=odd[1])
+        others = ",".join(name for name in scans.lasers if name != odd[0])
+        about = dict(zip(("laser", "share", "better", "how"), odd, strict=True))
+        findings.append(cause("two-lasers/odd", None, others=others, **about))
     elif found.two_lasers:
         _add(findings, "two-lasers/moved")
     elif found.best is not None:
         findings.append(_undone(found.best, scans, given))
-    elif found.share < POOR:
+    elif found.share < (POOR if scans[0].T_base_laser else (POOR + AGREES) / 2):
         _add(findings, "disagree", share=found.share, usual=AGREES)
     return None if math.isnan(found.share) else found.share
 

@@ -29,7 +29,7 @@ from imgloc.model import (
 )
 from imgloc.numbers import number
 
-_FAR, _TURN = number("scanmotion.apart")
+_FAR, _TURN, _WAY = number("scanmotion.apart")
 _LOOKED, _PAIRS, _RAYS, _LEAST, _AHEAD = number("scanmotion.tried")
 _CELL, _NOISE = number("scanmotion.cell")
 AGREES, POOR, _HALF, _TWO = number("scanmotion.agrees")
@@ -86,27 +86,53 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
     return Agreement(here, best)
 
 
-def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float] | None:
-    """The one of several lasers that disagrees with poses (N, 3) of the robot, and its share.
+def scaled_better(scans: ScanSet, factor: float) -> bool | None:
+    """True if the odometry agrees better with the ranges multiplied by `factor` than as they are.
 
-    Another one agrees, and it would itself if its place were turned: few scans agree by nature.
+    None if the log has no odometry of a robot that moves, or it agrees with neither.
     """
-    shares = dict[str, tuple[float, float]]()
+    if scans.odom is None or len(scans) < 2:
+        return None
+    known, first = np.flatnonzero(np.isfinite(scans.odom).all(axis=1)).tolist(), scans.lasers[0]
+    some = scans.take([k for k in known if scans[k].laser == first])
+    odom, shares = np.asarray(some.odom), list[float]()
+    gone = np.hypot(*np.diff(odom[:, :2], axis=0).T).cumsum()
+    firsts = evenly(len(gone), _LOOKED)
+    pairs = [*zip(firsts, 1 + np.searchsorted(gone, gone[firsts] + _WAY), strict=True)]
+    for f in (1.0, factor):
+        both = (
+            (some[i].scaled(f), some[j].scaled(f), _step(odom, i, j))
+            for i, j in pairs if j < len(odom)
+        )  # fmt: skip
+        shares.append(float(np.nanmean([0.0, *(overlap(*one, f) for one in both)])))
+    return shares[1] > shares[0] if max(shares) > POOR / 2 else None
+
+
+def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float, float, str] | None:
+    """The one of several lasers that disagrees with poses (N, 3) of the robot, if one does.
+
+    Its name and share; the share if it is mended, and how. Another one agrees, and it would itself
+    upside down or turned: few scans agree by nature.
+    """
+    found, most = list[tuple[str, float, float, str]](), 0.0
     for name in scans.lasers:
         k = [k for k, scan in enumerate(scans.scans) if scan.laser == name]
         own, path = scans.take(k), odom[k]
         share = partial(_share, own.scans.__getitem__, path, _pairs(path, own))
         here, seen = share(Way("")), np.median([np.count_nonzero(s.valid) for s in own.scans])
-        if seen >= _LEAST and not math.isnan(here):
-            turned = (
-                Way("", scan=partial(_turned, turn=turn))
-                for turn in np.arange(_STEP, math.tau, _STEP)
-            )
-            shares[name] = here, max(map(share, turned)) if here < POOR else here
-    ranked = sorted(shares.items(), key=lambda item: item[1])
-    if not ranked or not ranked[0][1][0] < POOR <= min(ranked[0][1][1], ranked[-1][1][0]):
-        return None
-    return ranked[0][0], ranked[0][1][0]
+        if seen < _LEAST or math.isnan(here):
+            continue
+        most = max(most, here)
+        if here < POOR:
+            yaw = (own[0].T_base_laser or Pose2D(0.0, 0.0)).theta
+            ways = [(share(Way("", scan=lambda s: s.flipped)), "hangs upside down")]
+            for turn in np.arange(_STEP, math.tau, _STEP).tolist():
+                right = math.degrees(Pose2D(0.0, 0.0, yaw + turn).theta)
+                turned = Way("", scan=partial(_turned, turn=turn))
+                ways.append((share(turned), f"has a yaw of {right:.0f} degrees"))
+            found.append((name, here, *max(ways)))
+    odd = min(found, key=lambda one: one[1], default=None)
+    return odd if odd is not None and min(odd[2], most) >= POOR else None
 
 
 def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:

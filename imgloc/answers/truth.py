@@ -78,7 +78,7 @@ def tried_of(scans: ScanSet) -> ScanSet:
 def with_true_poses(
     scans: ScanSet, grid: OccupancyGrid, name: str, tried: ScanSet | None = None
 ) -> ScanSet:
-    """The scans, without their poses and with a warning if by :func:`poses_fit` they do not fit.
+    """The scans; if by :func:`poses_fit` their poses do not fit, as odometry, with a warning.
 
     Poses are true, too, if the scans fit there in another unit, or turned over. `name` is that of
     the file, for the warning. `tried` are :func:`tried_of` the whole file, of which `scans` may be
@@ -91,7 +91,7 @@ def with_true_poses(
     if any(fit is not False for fit in fits):
         return scans
     _LOG.warning("%s: %s", name, NOT_TRUE)
-    return replace(scans, poses=None)
+    return replace(scans, poses=None, odom=scans.poses if scans.odom is None else scans.odom)
 
 
 def near_walls(grid: OccupancyGrid) -> BoolArray:

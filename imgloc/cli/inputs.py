@@ -22,7 +22,7 @@ from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.folders import find_maps
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import image_named
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import RADIUS, TOLERANCE, Chosen, Known, Logs, Mounting, Options, Shared
 from imgloc.runs import opening
 from imgloc.runs.jobs import Item
@@ -33,6 +33,9 @@ from imgloc.runs.opening import quiet_libraries as quiet_libraries
 from imgloc.search import priors
 
 if TYPE_CHECKING:
+    from imgloc.answers.causes import Cause
+    from imgloc.filters.follow import Moment
+    from imgloc.io.scanset import ScanSet
     from imgloc.live.sites import Site
 
 
@@ -169,19 +172,34 @@ def check_prior(known: Known, region: Path | None, features: MapFeatures, option
     )
 
 
-def aged_words(
+def aged(
     grid: OccupancyGrid, sure: Sequence[tuple[LaserScan, Pose2D]], shared: Shared
-) -> str | None:
-    """A sentence about a map that has aged, by scans whose sensors' poses are sure; or None.
+) -> "Cause | None":
+    """The cause that a map is old or of another place, by scans of sensors at sure poses; or None.
 
-    Rays also pass walls that others drew too thick or bent, so nothing is said of such a map.
+    Rays also pass walls that others drew too thick, so nothing is said of such a map, and of walls
+    that seem bent only that they are of another place.
     """
-    if shared.thinner or shared.bent:
+    if shared.thinner:
         return None
     scans = [scan for scan, _ in sure]
     poses = np.array([(p.x, p.y, p.theta) for _, p in sure]).reshape(-1, 3)
-    said: str | None = behind("aging_hint")(grid, scans, poses)
-    return said
+    found: Cause | None = behind("aging_hint")(grid, scans, poses)
+    return found if found is None or found.serious or not shared.bent else None
+
+
+def aged_along(
+    grid: OccupancyGrid, scans: "ScanSet", moments: "Sequence[Moment]", shared: Shared
+) -> "Cause | None":
+    """The same, by the scans along a way whose poses were unique.
+
+    Scans of a log that is still being written are not kept.
+    """
+    seen = ((scans[m.index], m.pose) for m in moments if m.pose is not None and len(scans))
+    return aged(grid, [
+        (scan.scaled(shared.scale), compose(pose, scan.T_base_laser or Pose2D(0.0, 0.0)))
+        for scan, pose in seen
+    ], shared)  # fmt: skip
 
 
 def site_makers(

@@ -18,10 +18,12 @@ from imgloc.ranges import declared, option
 if TYPE_CHECKING:
     from imgloc.answers.causes import Cause
     from imgloc.answers.logcheck import LogReport
+    from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.kinds import Kind
+    from imgloc.io.scanset import ScanSet
     from imgloc.runs.opening import Desk, MapFiles
 
-_LEAST = 10  # scans that are worth following
+_LEAST, _MOST = 10, 80  # scans that are worth following, and that are followed here
 _OWN = ("--json", "--picture", "--force")  # options that other commands have not, or mean another
 
 
@@ -144,6 +146,7 @@ class _Look:
             options = calibrated(options, self.map, features.grid)
             given = how.given.beside(self.map, features.grid)
             report = on_map(report, scans, features, options, given)
+            report = _followed(report, scans, features, options)
             self.desk.keep(features)
         command = self._next(path, report, logs)
         about = inputs.name_of(path), form, kinds, report, command
@@ -166,15 +169,18 @@ class _Look:
         first = next((k.name for k in lasers if k.name in ("/scan", "FLASER")), lasers[0].name)
         if first == "/scan":  # the others are often made of it
             return self.logs, []
-        key, odd = "two-lasers/topics", list["Cause"]()
+        key = "two-lasers/topics"
         try:
             how = ScanFiles(**vars(replace(self.logs, topic=names)), many=True)
             every = check_log(self.desk.scans(path, how).scans)
-            odd = [found for found in every.findings if found.code == "two-lasers"]
+            odd = next((f for f in every.findings if f.code == "two-lasers" and f.options), None)
+            if odd is not None:  # the others are taken
+                topic = as_options(odd.options).split()[1].split(",")[0]
+                return replace(self.logs, topic=topic), [replace(odd, serious=False)]
         except ScanError:  # they are not of one robot, or it is not known where they sit
             key = "two-lasers/apart"
-        odd.append(cause(key, count=len(lasers), first=first, names=names))
-        return replace(self.logs, topic=first), odd
+        more = [cause(key, count=len(lasers), first=first, names=names)]
+        return replace(self.logs, topic=first), more
 
     def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
         """The command to go on with: it goes on from the options that were typed."""
@@ -189,9 +195,57 @@ class _Look:
             mended.setdefault(word if word[:2] == "--" else list(mended)[-1], []).append(word)
         if "--range-scale" in mended:
             mended["--range-scale"][1] = f"{logs.scale * float(mended['--range-scale'][1]):g}"
+        if not follow:
+            mended.pop("--odom", None)
         if self.mounting.flipped and "--flipped" in mended:  # it is upright
             del typed["--flipped"], mended["--flipped"]
         return " ".join([*words, *_quoted(typed | mended)])
+
+
+def _followed(
+    report: "LogReport", scans: "ScanSet", features: "MapFeatures", options: Options
+) -> "LogReport":
+    """The report, with what is found where the robot is followed for some metres.
+
+    A similar building fits here and there, but along a way scans pass its walls.
+    """
+    import numpy as np
+
+    from imgloc.answers.causes import cause
+    from imgloc.answers.logcheck import FOLLOWED
+    from imgloc.cli.inputs import aged_along
+    from imgloc.filters.follow import Tracking, follow
+    from imgloc.filters.motion import increments
+
+    doubted = any(found.code == "disagree" for found in report.findings)
+    wrong = any(f.serious or (f.options and f.code != "disagree") for f in report.findings)
+    placed = report.facts["on_map"]
+    if wrong or not report.can_be_followed or not placed["unique"] or scans.odom is None:
+        return report
+    some = scans.take(np.flatnonzero(np.isfinite(scans.odom).all(axis=1)).tolist())
+    tracking = Tracking()
+    x, y, turn = increments(np.asarray(some.odom)).T
+    gone = np.hypot(x, y) / tracking.every.metres + np.abs(turn) / tracking.every.radians
+    gone = np.floor(np.append(0.0, gone.cumsum()))
+    some = some.take(np.unique(gone, return_index=True)[1][:_MOST].tolist())
+    robot = tracking.made(features, options)
+    try:
+        moments = list(follow(features, some, robot))
+    except ScanError:  # stamps that are no seconds, for one: whoever tracks is told
+        return report
+    unique = sum(moment.pose is not None for moment in moments)
+    passed = aged_along(features.grid, some, moments, robot.options.shared)
+    serves, fits = 2 * unique >= len(moments), 2 * placed["unique"] > sum(placed.values())
+    if passed is None and fits and not serves and not doubted:
+        passed = cause("disagree/along", unique=unique, count=len(moments))
+    settled = passed is not None or unique >= FOLLOWED * len(moments)
+    rest = [
+        replace(found, options="") if serves and found.code == "disagree" else found
+        for found in report.findings if not (settled and found.code == "map")
+    ]  # fmt: skip
+    along = {"metres": moments[-1].metres, "scans": len(moments), "unique": unique}
+    facts = {**report.facts, "followed": along}
+    return replace(report, facts=facts, findings=(*filter(None, [passed]), *rest))
 
 
 def _word(path: Path) -> str:

@@ -231,7 +231,7 @@ class _Sink:
 
     def end(self) -> None:
         """Say how it went, and what most likely keeps scans from fitting."""
-        from imgloc.cli.inputs import aged_words
+        from imgloc.cli.inputs import aged
         from imgloc.io.scanset import ScanSet
         from imgloc.output.tables import run_words
 
@@ -249,15 +249,13 @@ class _Sink:
         scans = ScanSet(tuple(self.scans)) if self.several else first.taken.scans
         if self.many or not (self.pictures or self.pages):
             self.hints = first.doubts(scans, self.said)
-        aged = aged_words(first.features.grid, self.sure, first.options.shared)
-        if aged and not self.hints:  # to a sensor upside down walls are gone, too
+        passed = aged(first.features.grid, self.sure, first.options.shared)
+        if passed and not self.hints:  # to a sensor upside down walls are gone, too
             found = first.mirrored(scans, self.said)
-            self.hints = [] if found is None else [found]
+            self.hints = [found or passed]
         for hint in self.hints:
             if hint.code != "swapped":  # is said when the map is read
                 LOG.warning("%s", hint.said)
-        if aged and not self.hints:
-            LOG.warning("%s", aged)
         if not self.hints and 2 * verdicts.count("unique") < len(verdicts):
             from imgloc.answers.logcheck import warn_of
 

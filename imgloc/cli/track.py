@@ -14,12 +14,13 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Drawn, Followed, Logs, Mounting, Options, Shared
+from imgloc.options import Drawn, Followed, Logs, Mounting, Options
 from imgloc.pose import Pose2D
 from imgloc.ranges import Checked, option
 from imgloc.texts import pose
 
 if TYPE_CHECKING:
+    from imgloc.answers.causes import Cause
     from imgloc.cli.live import Live
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.belief import Filter
@@ -225,10 +226,19 @@ def track(
         hint = doubt_of_log(features, scans, options, stated, share, asked.start)
     else:
         hint = bent_walls(chosen.options.shared, options.shared, grid.resolution, stated)
-    if said := hint.said if hint else _aged(grid, scans, moments, chosen.options.shared):
-        LOG.warning("%s", said)
+    _warn(hint, inputs.aged_along(grid, scans, moments, chosen.options.shared))
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
+
+
+def _warn(hint: "Cause | None", aged: "Cause | None") -> None:
+    """Warn of a map of another place, unless something else was tried and helps; else of that.
+
+    That scans fit bent walls is another word for not fitting.
+    """
+    helps = hint is not None and hint.found and hint.code != "bent"
+    if said := aged if aged and (not hint or (aged.serious and not helps)) else hint:
+        LOG.warning("%s", said.said)
 
 
 def _made(
@@ -279,23 +289,6 @@ def _true_at(
             f"{stamps[-1]:.2f} s, the scans from {at[0]:.2f} to {at[-1]:.2f} s"
         )
     return found
-
-
-def _aged(
-    grid: "OccupancyGrid", scans: "ScanSet", moments: "Sequence[Moment]", shared: Shared
-) -> str | None:
-    """A sentence about a map that has aged, by the scans whose poses were unique; or None.
-
-    Scans of a log that is still being written are not kept.
-    """
-    from imgloc.cli.inputs import aged_words
-    from imgloc.model import compose
-
-    seen = ((scans.scans[m.index], m.pose) for m in moments if m.pose is not None and len(scans))
-    return aged_words(grid, [
-        (scan.scaled(shared.scale), compose(pose, scan.T_base_laser or Pose2D(0.0, 0.0)))
-        for scan, pose in seen
-    ], shared)  # fmt: skip
 
 
 def _scans_of(

@@ -33,13 +33,23 @@ _NUMBER = re.compile(r"[-+]?(\d+([.,]\d+)?|[.,]\d+)(e[-+]?\d+)?|[-+]?inf|nan", r
 _SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
 _PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
 _BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
+_PLACE = re.compile(r"(?:(odom)(?:etry)?[._/ ]|pose[._/ ])?(?:([xy])|theta|th|yaw|heading)")
 _DEGREE = math.pi / 180
-_UNITS = {"mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "ms": 1e-3,
-          "us": 1e-6, "ns": 1e-9, "deg": _DEGREE, "°": _DEGREE, "grad": _DEGREE}  # fmt: skip
-_UNIT = re.compile(
-    r"(?:[\s_.(\[/]|\bin\b|_in_)+(?:(mm|cm|m|ft|°|grad|rad|ms|us|ns|s|sec)|(deg)(?:rees?)?|"
-    r"radians?|(milli|centi)?met(?:re|er)s?)[)\]]?$"
+# By how a word for it begins, the longest beginning first; all others are SI.
+_UNITS = {
+    "mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "f": 0.3048, "in": 0.0254,
+    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "grad": _DEGREE, "mrad": 1e-3,
+    "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
+}  # fmt: skip
+_LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?met(?:re|er)s?"
+_TURNED = r"°|grad|c?deg(?:rees?)?|m?rad(?:ians?)?"
+_UNIT = re.compile(rf"(?:[\s_.(\[/]|\bin\b|_in_)+({_LENGTH}|{_TURNED}|ms|us|ns|s|sec)[)\]]?$")
+_SAID = re.compile(
+    rf"(?:(?:\b|_)(?:units?|in|are)\b[\s:='\"]*|[(\[])(?:({_LENGTH})|({_TURNED}))(?![\w.])"
 )
+# Finer units of angles, and how many are a degree; views of sensors are multiples of some degrees.
+_TIMES = {"tenths of a degree": 10, "hundredths of a degree": 100, "milliradians": 1000 * _DEGREE}
+_TURN, _VIEW, _OFF = 360, 30, 2  # degrees
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
 _ROLES = (
     (re.compile(rf"(.*[./])?({'|'.join(_SETTINGS)})$"), ""),
@@ -81,10 +91,12 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     ``rostopic echo -p``, ``ros2 topic echo --csv``, bagpy and PlotJuggler are known, also those of
     a nav_msgs/Odometry, and the lines that ``ultra_simple`` of RPLIDAR's SDK prints. A file with
     columns such as ``angle`` and ``range``, ``angle_deg`` and ``distance_mm``, or with just two
-    columns of numbers, has one reading a line. Empty cells are NaN. Broken lines are left out, up
-    to the share `max_bad`, as is a last one that was cut off.
+    columns of numbers, or three with a quality, in any order, has one reading a line. A unit is in
+    the name of a column or in a comment, such as ``# unit: mm``; angles without one are of that in
+    which a turn fits. Empty cells are NaN. Broken lines are left out, up to the share `max_bad`, as
+    is a last one that was cut off.
     """
-    name, settings, comment = display(path), dict[str, Any](), ""
+    name, settings, comment, units = display(path), dict[str, Any](), "", ["", ""]
     lines, body = lines_of(path), list[Row]()
     for line, text in lines.numbered:
         where = f"{name}: line {line}"
@@ -92,16 +104,21 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
             plain = re.sub(r"(\d),(\d)", r"\1.\2", text)
             said = [(key, value) for key, value in _SETTING.findall(plain) if key in _SETTINGS]
             settings |= {key: setting_of(key, value, f"{where}: {key}") for key, value in said}
-            comment = comment if body or said else text.strip("# ")
+            plain = text.strip("# ").lower()
+            named = any(role_of(cell)[0] for cell in cells_of(plain))
+            words = [] if named else _SAID.findall(plain)
+            units = [max([old, *every]) for old, *every in zip(units, *words, strict=True)]
+            comment = comment if body or said or words else plain
         else:
             body.append((where, cells_of(text)))
     if not body:
         raise ScanError(f"{name}: contains no scan, expected one per line")
     body = _unpacked(_revolutions(body))
     table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
+    table.length, table.turn = map(_factor, units)
     if _is_echo(body[0][1]):
         return table.echoed()
-    first, names = body[0][1], [cell.lower() for cell in cells_of(comment)]
+    first, names = body[0][1], cells_of(comment)
     numeric = [cell for cell in first if cell and _is_number(cell)]
     if not numeric or first[0].startswith("%"):
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
@@ -179,23 +196,20 @@ def role_of(name: str) -> tuple[str, int, float]:
     if _POSE.fullmatch(name):
         return "pose", 0, 1.0
     unit = _UNIT.search(name)
-    bare = name[: unit.start()] if unit else name
+    bare, said = (name[: unit.start()], unit[1]) if unit else (name, "")
     for pattern, role in _ROLES:
         if found := pattern.fullmatch(name) or (pattern.fullmatch(bare) if unit else None):
-            factor = _factor(unit) if role in ("angle", "range", "time") else 1.0
+            factor = _factor(said) if role in ("angle", "range", "time") else 1.0
             if role in ("time", "stamp") and name.startswith(("%", "field.")):  # rostopic echo -p
                 factor = _UNITS["ns"]
             return role or str(found[2]), 0, factor
-    return (name, 0, 1.0) if name in _BESIDE else ("", 0, 1.0)
+    if found := _PLACE.fullmatch(name) or _PLACE.fullmatch(bare):
+        return f"{found[1] + '_' if found[1] else ''}{found[2] or 'theta'}", 0, _factor(said)
+    return "", 0, 1.0
 
 
-def _factor(unit: re.Match[str] | None) -> float:
-    return next((_UNITS[u] for u in unit.groups() if u in _UNITS), 1.0) if unit else 1.0
-
-
-def _metres(name: str) -> float:
-    """Metres that 1 stands for in one of several columns of ranges, such as ``r0 [mm]``."""
-    return _factor(re.search(r"[\W_](mm|cm|ft)[\W_\d]*$", name))
+def _factor(word: str) -> float:
+    return next((factor for begins, factor in _UNITS.items() if word.startswith(begins)), 1.0)
 
 
 @dataclass
@@ -208,6 +222,8 @@ class _Table:
     bad: BadLines
     cut: str  #: where the line stands that does not end
     rows: list[tuple[str, FloatArray]] = field(default_factory=list)
+    length: float = 1.0  #: metres, that a comment gives as the unit of ranges
+    turn: float = 1.0  #: radians, likewise of angles
 
     def read(self, names: list[str], fov: float | None) -> ScanSet:
         """The scans, of columns that are called so, if they are."""
@@ -234,8 +250,8 @@ class _Table:
         self._parse([*used, *ranges] if names else None, names)
         if not names:
             ranges = list(range(len(self.rows[0][1])))
-            if len(ranges) == 2 and len(self.rows) > 1 and not self.settings:
-                return self._readings({"angle": 0, "range": 1}, [("", 0, 1.0)] * 2, parsed=True)
+            if not self.settings and (by := self._one_a_line()):
+                return self._readings(by, [("", 0, 1.0)] * len(ranges), parsed=True)
             if self._turns(fov):
                 return self._columns(0, 1.0)
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
@@ -256,12 +272,12 @@ class _Table:
                 raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
             self.settings["angles"] = spread(len(ranges), fov)
         entries = list[Entry]()
-        unit = _metres(names[ranges[0]]) if names and ranges else 1.0
+        unit = self._metres(names[ranges[0]] if names and ranges else "")
         for where, row in self.rows:
             values = row[ranges] * unit
             if "angle_min" in by and np.isnan(row[by["angle_min"]]) and np.isnan(values).all():
                 continue  # of another topic
-            more = {key: row[at] if at else None for key, at in places.items()}
+            more = {key: [row[i] * roles[i][2] for i in at] or None for key, at in places.items()}
             said = {key: float(row[by[key]]) for key in _SETTINGS if key in by}
             said = {key: value for key, value in said.items() if not math.isnan(value)}
             while "angle_min" in said and len(values) > 1 and _beyond(said, values):
@@ -309,6 +325,51 @@ class _Table:
             self.bad.check(0)
             raise ScanError(f"{self.name}: contains no scan, expected one per line")
 
+    def _metres(self, name: str) -> float:
+        """Metres that 1 stands for in one of several columns of ranges, such as ``r0 [mm]``."""
+        unit = re.search(rf"[\W_]({_LENGTH})[\W_\d]*$", name)
+        return _factor(unit[1]) if unit else self.length
+
+    def _one_a_line(self) -> dict[str, int]:
+        """Which columns, of two, or of three with a quality, hold angles and ranges, if any do.
+
+        Angles rise or fall evenly, and hardly any value of a range comes again.
+        """
+        table = np.array([row for _, row in self.rows])
+        if len(table) < 2 or table.shape[1] not in (2, 3):
+            return {}
+        with np.errstate(invalid="ignore"):  # from infinite to infinite
+            usual = np.median(steps := np.diff(table, axis=0), axis=0)
+            even = (2 * np.abs(steps - usual) < np.abs(usual)).mean(axis=0)
+        values = [len(np.unique(column)) for column in table.T]
+        at = int(even.argmax()) if len(table) > _EVEN else 0
+        rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
+        if rest[1:] and (2 * even[at] < 1 or 2 * values[rest[1]] > values[rest[0]]):
+            return {}
+        if at:
+            text = f"column {at + 1} rises or falls evenly: it is taken for the angle"
+            _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
+        return {"angle": at, "range": rest[0]}
+
+    def _radians(self, angles: FloatArray, unit: float) -> FloatArray:
+        """Angles in radians; if no `unit` is given, they are of the one in which a turn fits."""
+        known = angles[np.isfinite(angles)]
+        step = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
+        high, low = known.max(initial=-math.inf), known.min(initial=math.inf)
+        span, most = float(high - low), float(max(high, -low))
+        if unit != 1 or (most <= 2 * math.tau and span <= math.tau + 2 * step):
+            return angles * unit
+        views = {name: (span + step) / times for name, times in _TIMES.items()}
+        fits = (name for name, view in views.items() if view <= _TURN + _OFF
+                and abs(view - _VIEW * round(view / _VIEW)) <= _OFF)  # fmt: skip
+        name = "degrees" if span <= 2 * _TURN else next(fits, "")
+        if not name:
+            expected = "radians or degrees; or call their column angle_cdeg or angle_mrad"
+            raise ScanError(f"{self.name}: angles: span {span:g}, expected {expected}")
+        text = f"the angles span {span:g}, more than a turn in radians: they are taken for {name}"
+        _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
+        return np.deg2rad(angles / _TIMES.get(name, 1.0))
+
     def _turns(self, fov: float | None) -> bool:
         """Return whether the first column holds angles, and each other one a scan."""
         table = np.array([row for _, row in self.rows])
@@ -322,10 +383,9 @@ class _Table:
 
     def _columns(self, at: int, unit: float, names: Sequence[str] = ()) -> ScanSet:
         """The scans of a table with a column of angles, and a column for each scan."""
-        table = np.array([row for _, row in self.rows]) * ([*map(_metres, names)] or 1.0)
-        angles = table[:, at] * unit
-        if unit == 1.0 and np.abs(angles).max() > 2 * math.tau:
-            angles = np.deg2rad(angles)
+        table = np.array([row for _, row in self.rows])
+        table = table * ([*map(self._metres, names)] or self.length)
+        angles = self._radians(table[:, at], self.turn if unit == 1 else unit)
         said = {**self.settings, "angles": angles}
         entries: list[Entry] = [
             (f"{self.name}: column {k + 1}", {**said, "ranges": table[:, k]})
@@ -365,14 +425,9 @@ class _Table:
             self._parse([by[k] for k in keys if k], [role for role, _, _ in roles])
         self.bad.check(len(self.rows))
         table = np.array([row for _, row in self.rows])
-        angles, ranges = (table[:, by[k]] * roles[by[k]][2] for k in ("angle", "range"))
-        degrees = (
-            roles[by["angle"]][2] == 1 and float(np.nanmax(np.abs(angles), initial=0)) > 4 * math.pi
-        )
-        if degrees and np.nanmax(np.abs(angles)) <= 720:
-            text = "the angles are beyond two turns in radians: they are taken for degrees"
-            _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
-            angles = np.deg2rad(angles)
+        turn, length = (roles[by[key]][2] for key in ("angle", "range"))
+        angles = self._radians(table[:, by["angle"]], self.turn if turn == 1 else turn)
+        ranges = table[:, by["range"]] * (self.length if length == 1 else length)
         starts = _starts(table[:, by[which]] if which else None, angles)
         entries = list[Entry]()
         for a, b in itertools.pairwise([*starts, len(table)]):

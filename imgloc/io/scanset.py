@@ -195,6 +195,9 @@ def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
     worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
     if abs(worst) > MOST_TURNED:
         raise wrong(f"{name}: {key}", f"{worst:g}", _DEGREES)
+    span = np.ptp(angles, axis=-1).max(initial=0.0) if angles.size else 0.0
+    if span > 1.5 * np.pi * 2:
+        raise wrong(f"{name}: {key}", f"a span of {span:.3g}", f"at most one turn in {_DEGREES}")
 
 
 _STATED: ContextVar[Logs] = ContextVar("stated", default=Logs())  # noqa: B039, it is frozen

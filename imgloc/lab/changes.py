@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.answers.causes import Cause, cause
 from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, expect
 from imgloc.features.distance import distance_image
@@ -54,7 +55,8 @@ _SCANS, _PLACES = number("changes.scans"), number("changes.places")  # that must
 _AGAINST = number("changes.against")  # scans that say so, to each that says otherwise
 _PLACE, _TIME = number("changes.place")  # metres and seconds, within which scans are one look
 # For a hint that the map has aged: scans, metres of wall surface, and share of it that is gone.
-_HINT_SCANS, _HINT_WALLS, _HINT_GONE = number("changes.hint")
+# The second share is that of a map of another place.
+_HINT_SCANS, _HINT_WALLS, _HINT_GONE, _OTHER = number("changes.hint")
 _LOOKED_AT: int = number("changes.looked_at")  # scans, at most
 _PIECE = number("changes.piece")  # metres: smaller pieces are noise
 
@@ -190,8 +192,8 @@ def sure_poses(answers: Sequence[Localization]) -> tuple[list[int], FloatArray]:
     return sure, np.array([(p.x, p.y, p.theta) for p in poses]).reshape(-1, 3)
 
 
-def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> str | None:
-    """A sentence about a map whose walls are gone; None if they stand, or too few were in view.
+def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> Cause | None:
+    """Say that walls of a map are gone; None if they stand, or too few were in view.
 
     The scans are in metres of the map, the `poses` (N, 3) of their sensors in the map frame, both
     sure. At most 100 of them are looked at, evenly spread.
@@ -202,9 +204,8 @@ def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArra
     found = map_changes(grid, [scans[k] for k in some], poses[some])
     if found.seen_m < _HINT_WALLS or found.gone_share < _HINT_GONE:
         return None
-    passed = f"scans at sure poses pass {100 * found.gone_share:.0f} % of the walls in view"
-    why = "the map is old, has a wrong resolution, or is of another place"
-    return f"{passed}: {why}. imgloc map changes MAP SCANS shows where"
+    key = "map/other" if found.gone_share >= _OTHER else "old/walls"
+    return cause(key, share=found.gone_share)
 
 
 def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> Changes:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.logcheck import LogReport
-from imgloc.answers.scanmotion import AGREES
+from imgloc.answers.scanmotion import AGREES, POOR
 from imgloc.errors import as_options
 from imgloc.features.scanpoints import scan_xy
 from imgloc.io.kinds import Kind
@@ -64,7 +64,7 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
     ]
     if facts["agreement"] is not None:
         share = f"{100 * facts['agreement']:.0f} % of the readings of a scan fall on an earlier one"
-        verdict = "good" if facts["agreement"] >= AGREES else "poor"
+        verdict = ("poor", "fair", "good")[sum(facts["agreement"] >= x for x in (POOR, AGREES))]
         lines.append(("agreement", f"{verdict}: {share}, moved by the odometry"))
     if facts["straightened"] is not None:
         ways = (f"{100 * share:.0f} % with `straighten={way}`"
@@ -123,7 +123,11 @@ def _poses(facts: Mapping[str, Any]) -> str:
         return "the odometry fits the map, too" if fits_too else "none but odometry"
     if facts["poses"] == "odometry":
         return "the same as the odometry" + ("" if "on_map" in facts else "; a map tells more")
-    fits = {True: "; they fit the map", False: "; they do not fit the map", None: ""}
+    fits = {
+        True: "; they fit the map",
+        False: "; they do not fit the map, and are taken for odometry",
+        None: "",
+    }
     beside = "recorded, beside the odometry" if facts["odometry"] else "recorded"
     return beside + fits[facts.get("poses_fit")]
 
@@ -143,7 +147,10 @@ def _on_map(facts: Mapping[str, Any]) -> str:
     ends = "" if new is None else f"; {100 * new:.0f} % of their rays end where the map is empty"
     sure, none = (2 * facts["on_map"][verdict] > tried for verdict in ("unique", "no-match"))
     agrees = "good" if sure else "poor" if none else "undecided"
-    return f"{agrees}, {tried} scan{'s' if tried > 1 else ''} tried: {verdicts}{ends}"
+    out = f"{agrees}, {tried} scan{'s' if tried > 1 else ''} tried: {verdicts}{ends}"
+    if way := facts.get("followed"):
+        out += f"; followed for {way['metres']:.0f} m: {way['unique']} of {way['scans']} unique"
+    return out
 
 
 def draw_log(name: str, report: LogReport, scan: LaserScan) -> Picture:

@@ -200,6 +200,8 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
 def _within(answer: Localization) -> str:
     """The radii around the pose that hold the true one; empty if even the first is infinite.
 
+    A radius that takes in other places says nothing of how exact the pose is.
+
     Examples
     --------
     >>> from imgloc import Protection
@@ -207,12 +209,18 @@ def _within(answer: Localization) -> str:
     >>> _within(Localization((), "unique", 0.0, 0.9, protection=levels))
     '0.10 m, 1.1 deg in 95 % of such answers'
     """
-    finite = [level for level in answer.protection if math.isfinite(level.metres)]
-    words = [
-        f"{level.metres:.2f} m, {math.degrees(min(level.radians, math.pi)):.1f} deg "
-        f"in {100 * level.share:g} %{' of such answers' * (not k)}"
-        for k, level in enumerate(finite)
-    ]
+    others = sum(h.mass for h in answer.hypotheses[1:])
+    words = []
+    for level in answer.protection:
+        if others > 1 - level.share:
+            words.append(f"other places have {100 * others:.0f} %")
+            break
+        if math.isfinite(level.metres):
+            turn = math.degrees(min(level.radians, math.pi))
+            answers = " of such answers" * (not words)
+            words.append(
+                f"{level.metres:.2f} m, {turn:.1f} deg in {100 * level.share:g} %{answers}"
+            )
     return "; ".join(words)
 
 

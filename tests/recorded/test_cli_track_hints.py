@@ -62,7 +62,7 @@ def scaled(by: float) -> Callable[[LaserScan], LaserScan]:
     ("change", "count", "said"),
     [
         (lambda s: s.flipped, 40, "the sensor hangs upside down. Try --flipped"),
-        (scaled(0.5), 28, "multiplied by 2: is the map's resolution right? Try --range-scale 2"),
+        (scaled(0.5), 28, "agree with the odometry, if ranges are multiplied by 2: "),
     ],
 )  # fmt: skip
 def test_a_cause_is_named_and_its_remedy_helps(
@@ -96,7 +96,7 @@ def test_a_mirrored_map_is_told_from_a_sensor_upside_down(
 ) -> None:
     mirrored = OccupancyGrid(place.occupied[::-1], place.free[::-1], place.resolution)
     (hint,) = hints(followed(mirrored, recorded, tmp_path))
-    assert "the image of the map is mirrored. Try --flipped" in hint
+    assert "the image of the map is mirrored. Mirror it" in hint
     (hint,) = hints(followed(place, recorded.take(range(40)), tmp_path, "--flipped"))
     assert hint.endswith("the sensor does not hang upside down. Leave out --flipped")
 
