@@ -200,7 +200,7 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
 def _within(answer: Localization) -> str:
     """The radii around the pose that hold the true one; empty if even the first is infinite.
 
-    A radius that takes in other places says nothing of how exact the pose is.
+    A radius that takes in other places is no measure of how exact the pose is.
 
     Examples
     --------
