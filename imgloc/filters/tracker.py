@@ -343,8 +343,9 @@ class Tracker:
         if len(view.readings) >= self.how.agree[1] and laser.last <= self._strange(laser):
             best = slice(int(np.argmax(self._mass)), int(np.argmax(self._mass)) + 1)
             one = sight(self.features, view, near, self.options)
-            self._correct(best, near, self._noise(one), self._fresh(laser))
-            self._since = 0.0
+            if one.gained > 0:  # else a building on no map explains it as well
+                self._correct(best, near, self._noise(one), self._fresh(laser))
+                self._since = 0.0
         self._remember()
         if self._searching is not None:
             self._searching.step()
