@@ -146,7 +146,8 @@ def settled(
 def squares(apart: FloatArray, covariance: FloatArray) -> FloatArray:
     """Squared Mahalanobis lengths (...) of differences (..., 3) of poses: m, m, radians."""
     apart = np.concatenate((apart[..., :2], wrap(apart[..., 2:])), axis=-1)
-    return np.asarray(np.einsum("...i,...ij,...j->...", apart, np.linalg.inv(covariance), apart))
+    inverse = np.linalg.inv(covariance + np.finfo(np.float64).eps * np.eye(3))  # which may be 0
+    return np.asarray(np.einsum("...i,...ij,...j->...", apart, inverse, apart))
 
 
 def _around(pose: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -611,7 +611,6 @@ class Tracker:
         spread = self._covariance[:, None] + self._noise(seen)
         square = squares(seen.poses - self._poses[:, None], spread)
         index = np.arange(known)
-        square[index, index] = 0.0
         near = index[self._same(self._poses, seen.poses[known : 2 * known])]
         square[near, known + near] = np.minimum(square[near, known + near], self.how.gate)
         own = np.zeros(square.shape, np.bool_)
