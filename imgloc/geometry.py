@@ -149,14 +149,15 @@ def inside(cells: IntArray, grid: GridInfo) -> npt.NDArray[np.bool_]:
     return (r >= 0) & (r < grid.height) & (c >= 0) & (c < grid.width)
 
 
-def pose_errors(poses: FloatArray, truth: Pose2D) -> FloatArray:
-    """Distances in metres and angles in radians, (M, 2), from poses (M, 3) to the true one.
+def pose_errors(poses: FloatArray, truth: Pose2D | FloatArray) -> FloatArray:
+    """Distances in metres and angles in radians, (..., 2), from poses (..., 3) to the true ones.
 
     Examples
     --------
     >>> pose_errors(np.array([[3.0, 4.0, 3.0]]), Pose2D(0, 0, -3.0)).round(3).tolist()
     [[5.0, 0.283]]
     """
-    poses = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
-    away = np.hypot(poses[:, 0] - truth.x, poses[:, 1] - truth.y)
-    return np.column_stack((away, np.abs(wrap(poses[:, 2] - truth.theta))))
+    true = np.array([*truth]) if isinstance(truth, Pose2D) else truth
+    apart = np.asarray(poses, dtype=np.float64) - true
+    away = np.hypot(apart[..., 0], apart[..., 1])
+    return np.stack((away, np.abs(wrap(apart[..., 2]))), axis=-1)

@@ -489,8 +489,7 @@ def test_what_is_dark_counts_from_where_it_began() -> None:
     for seconds in (0.0, 0.6, 0.6, 0.5):  # up to a second is a blink, and counts if more follows
         tracker.miss(seconds)
         lost.append(tracker.belief.lost)
-    rate = tracker.how.dark[0]
-    np.testing.assert_allclose(lost, np.array([0.0, 0.0, 1.2, 1.7]) * rate, atol=1e-12)
+    assert lost == pytest.approx(tracker.how.dark[0] * np.array([0.0, 0.0, 1.2, 1.7]))
 
 
 def test_of_two_places_that_fit_alike_the_nearer_one_is_followed() -> None:
@@ -499,9 +498,12 @@ def test_of_two_places_that_fit_alike_the_nearer_one_is_followed() -> None:
     poses = here + np.array([[0, 0, 0], [0, 0, 0], [0.2, 0, 0], [0.1, 0, 0]])
     score = np.array([-50.0, -50.0, 0.0, 0.0])  # where it is, nothing fits
     seen = Sight(poses, score, np.tile(np.diag([0.05] * 3) ** 2, (4, 1, 1)), np.zeros(4), 9.0)
-    at, gained = tracker._follow(seen, score, 1.0)
-    assert at.tolist() == [3]
-    assert -1.0 < gained[0] < 0.0
+    (at,), (cost,) = tracker._follow(seen)
+    assert (at, 0.0 < cost < 1.0) == (3, True)
+    # Where it settles close by, odometry was off: that costs what the gate does, 6 nats.
+    far = here + np.outer([0.0, 0.28, 9.0, 9.0], [1.0, 0.0, 0.0])
+    tracker._covariance[:] = 0.0
+    assert tracker._follow(replace(seen, poses=far, log_likelihood=score[[0, 2, 0, 0]])) == (1, 6)
 
 
 def test_who_stands_is_sure_again_after_a_blink_and_not_after_a_minute() -> None:

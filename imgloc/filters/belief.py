@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from imgloc.filters.motion import compose_poses
-from imgloc.geometry import wrap
+from imgloc.geometry import pose_errors, wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
@@ -86,8 +86,7 @@ PLACE = number("belief.place")
 
 def one_place(a: Pose2D, b: Pose2D) -> bool:
     """Return whether two poses of one frame belong to one place."""
-    turned = abs(float(wrap(b.theta - a.theta)))
-    return bool(np.hypot(b.x - a.x, b.y - a.y) < PLACE[0] and turned < PLACE[1])
+    return bool((pose_errors(np.array([*a]), b) < PLACE).all())
 
 
 def belief_of(
@@ -166,9 +165,6 @@ class Followed:
 
     def best(self, pose: FloatArray) -> None:
         """Set the best pose (3,), grid frame; another place starts the count again."""
-        if self._pose is not None:
-            apart = pose - self._pose
-            if np.hypot(*apart[:2]) < PLACE[0] and abs(float(wrap(apart[2]))) < PLACE[1]:
-                self._pose = pose
-                return
-        self._pose, self.metres = pose, 0.0
+        if self._pose is None or not (pose_errors(pose, self._pose) < PLACE).all():
+            self.metres = 0.0
+        self._pose = pose

@@ -7,7 +7,7 @@ import numpy as np
 
 from imgloc.filters.follow import Moment
 from imgloc.filters.motion import increments
-from imgloc.geometry import wrap
+from imgloc.geometry import pose_errors
 from imgloc.model import FloatArray, IntArray
 from imgloc.numbers import number
 
@@ -60,10 +60,8 @@ def deviation(poses: FloatArray, truth: FloatArray) -> Deviation:
     which = np.flatnonzero(found & true)
     a, b = poses[which], truth[which]
     moved, meant = increments(a), increments(b)
-    return Deviation(
-        np.hypot(*(a - b)[:, :2].T), np.abs(wrap(a[:, 2] - b[:, 2])),
-        np.hypot(*(moved - meant)[:, :2].T), which, (int(found.sum()), int(true.sum())),
-    )  # fmt: skip
+    (metres, radians), (step, _) = pose_errors(a, b).T, pose_errors(moved, meant).T
+    return Deviation(metres, radians, step, which, (int(found.sum()), int(true.sum())))
 
 
 def deviation_of(moments: Sequence[Moment], truth: FloatArray) -> Deviation:

@@ -16,6 +16,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.filters.motion import compose_poses, invert_poses
+from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
@@ -136,8 +137,17 @@ def settled(
     owner = np.repeat(np.arange(len(poses)), [len(one) for one in some])
     at = view.sensor(np.concatenate(some))
     best = _best_of(owner, _met(features, at, view.readings.spread(_FEW).xy, _WIDTHS[0]), _CLOSER)
-    at, owner = _refined(features, view, at[best]), owner[best]
-    return view.robot(at[_best_of(owner, _met(features, at, view.readings.xy, _WIDTHS[1]), 1)])
+    found, owner = view.robot(_refined(features, view, at[best])), owner[best]
+    square = squares(found - poses[owner], covariance[owner])
+    met = _met(features, view.sensor(found), view.readings.xy, _WIDTHS[1])
+    return found[_best_of(owner, met - len(view.readings) * (square > _REACH**2), 1)]
+
+
+def squares(apart: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis lengths (...) of differences (..., 3) of poses: m, m, radians."""
+    apart = np.concatenate((apart[..., :2], wrap(apart[..., 2:])), axis=-1)
+    inverse = np.linalg.inv(covariance + np.finfo(np.float64).eps * np.eye(3))  # which may be 0
+    return np.asarray(np.einsum("...i,...ij,...j->...", apart, inverse, apart))
 
 
 def _around(pose: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import evenly
 from imgloc.filters.belief import PLACE, Belief
 from imgloc.filters.motion import compose_poses, invert_poses, stands, way_of
-from imgloc.geometry import wrap
+from imgloc.geometry import pose_errors
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
 
@@ -131,10 +131,8 @@ def dragged(belief: Belief, place: FloatArray | None, step: FloatArray) -> float
     """
     if place is None or not len(belief.poses):
         return 0.0
-    apart = belief.poses - compose_poses(place, step)
-    metres, turn = np.hypot(apart[:, 0], apart[:, 1]), np.abs(wrap(apart[:, 2]))
-    near = metres[(metres < PLACE[0]) & (turn < PLACE[1])]
-    return float(near.min()) if len(near) else np.inf
+    apart = pose_errors(belief.poses, compose_poses(place, step))
+    return float(apart[(apart < PLACE).all(axis=1), 0].min(initial=np.inf))
 
 
 def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatArray) -> bool:

@@ -101,7 +101,9 @@ class ScanOdometry:
             reference, anew = self._references.get(name), True
             # A reference is of no use if other lasers know better by now where the robot is.
             if reference is not None and np.trace(self._P) >= np.trace(reference.covariance):
-                overlap, lost = self._match(reference, self._points(seen, reference.reach))
+                view = view_of(seen, self._options)
+                xy = view.readings.xy[view.readings.ranges < reference.reach]
+                overlap, lost = self._match(reference, transform_points(Pose2D(*view.mount), xy))
                 gone = way_of(compose_poses(invert_poses(reference.pose), self.pose))
                 anew = overlap < _KEPT or bool((gone > (_FAR, _TURNED)).any())
                 if lost:  # for the first time, somebody may just stand in the way
@@ -124,12 +126,6 @@ class ScanOdometry:
         if not self._references:
             return 0.0
         return 1.0 if math.isnan(seconds) else min(max(0.0, seconds), 60.0)
-
-    def _points(self, scan: LaserScan, reach: float) -> FloatArray:
-        """Readings (N, 2) of a scan within a reach, in the robot's frame."""
-        view = view_of(scan, self._options)
-        near = view.readings.ranges < reach
-        return transform_points(Pose2D(*view.mount), view.readings.xy[near])
 
     def _predict(self, seconds: float) -> None:
         """Go on with the velocity."""

@@ -26,13 +26,14 @@ from imgloc.filters.evidence import (
     search_by_steps,
     settled,
     sight,
+    squares,
     stretched,
     usable,
     view_of,
 )
 from imgloc.filters.motion import MotionNoise, Way, compose_poses, move_gaussians, way_of
-from imgloc.geometry import wrap
-from imgloc.model import FloatArray, IntArray, LaserScan
+from imgloc.geometry import pose_errors, wrap
+from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import (
     Bending,
@@ -116,8 +117,8 @@ class TrackerOptions(Checked):
     surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
     #: least share of a surprising scan's evidence that counts
     startle: Share = number("TrackerOptions.startle")
-    #: sudden error of odometry that a scan may reveal, metres and radians: wheels that slip, a
-    #: heading that lags in turns
+    #: sudden error of odometry that a scan may reveal if its readings lack less than `fits` there,
+    #: metres and radians: wheels that slip, a heading that lags in turns
     slip: tuple[Metres, Radians] = number("TrackerOptions.slip")
     #: odometry may turn out worse than `noise`: weight of one scan in the running estimate of its
     #: variance, and the largest factor on the variance
@@ -258,9 +259,8 @@ class Tracker:
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
-        metres, radians = deviation
         self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
-        self._covariance = np.diag([metres, metres, radians])[None] ** 2
+        self._covariance = np.diag((deviation[0], *deviation))[None] ** 2
         self._begun = self._poses.copy(), self._covariance.copy()
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
         self._unique = self._searching = None
@@ -343,8 +343,9 @@ class Tracker:
         if len(view.readings) >= self.how.agree[1] and laser.last <= self._strange(laser):
             best = slice(int(np.argmax(self._mass)), int(np.argmax(self._mass)) + 1)
             one = sight(self.features, view, near, self.options)
-            self._correct(best, near, self._noise(one), self._fresh(laser))
-            self._since = 0.0
+            if one.gained > 0:  # else a building on no map explains it as well
+                self._correct(best, near, self._noise(one), self._fresh(laser))
+                self._since = 0.0
         self._remember()
         if self._searching is not None:
             self._searching.step()
@@ -388,11 +389,10 @@ class Tracker:
         slipped = False
         surprised = misfit > min(laser.last + self.how.surprise[1], self._strange(laser))
         if surprised and self._lost < 0.5:
-            metres, radians = self.how.slip
-            wider = spread + np.diag(np.square([metres, metres, radians]))
+            wider = spread + np.diag((self.how.slip[0], *self.how.slip)) ** 2
             other = settled(self.features, view, pose, wider)
             fit = misfit_at(self.features, view, other, self.options)
-            if slipped := fit <= self._strange(laser):
+            if slipped := fit <= min(self._strange(laser), self.how.fits[1]):
                 near, misfit, self._covariance[best] = other, fit, wider[0]
                 self._doubt_place(self.how.dark[2])
         if misfit > laser.last + self.how.surprise[1]:
@@ -429,25 +429,25 @@ class Tracker:
             self._judge_map(False)
             return
         seen = sight(self.features, view, poses, self.options, spread)
-        best = float(seen.log_likelihood.max())
-        relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
-
-        # A component may be where it is, where it settles, or at a mode within its gate.
-        at, gain = self._follow(seen, relative, new)
-        leak = how.leak[0] * new
+        # Odometry that is off moves all components alike, and is no evidence against any of them.
+        at, cost = self._follow(seen)
+        leak, log = how.leak[0] * new, seen.log_likelihood
         if known:
             leader = float(seen.misfit[at[np.argmax(self._mass)]])
             if leader > laser.last + how.surprise[1]:
                 leak, new = how.leak[1], max(new, how.startle)
-                relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
-                at, gain = self._follow(seen, relative, new)
             laser.doubted = leader > self._strange(laser)
+        fit = log[at] - cost
+        elsewhere = ~self._same(poses[2 * known :, None], poses[: 2 * known]).any(axis=1)
+        best = max(fit.max(initial=-np.inf), log[2 * known :][elsewhere].max(initial=-np.inf))
+        gain = np.maximum((fit - best) * new, -how.drop)
         lost = self._lost + leak * (1 - self._lost)
         mass = self._mass * np.exp(gain)
         if known:
             mass *= (1 - lost) / self._mass.sum()
-            gained = seen.gained - best + float(seen.log_likelihood[at].max())
-            gone = lost * float(np.exp(new * min(_MOST, self._doubt(gained))))
+            gained = seen.gained - float(log.max() - log[at].max())
+            unknown = self.options.trust.mass_elsewhere(gained, 1.0)
+            gone = lost * min(np.exp(_MOST), unknown / (1 - unknown)) ** new
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
             odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
@@ -455,7 +455,7 @@ class Tracker:
         self._mass, self._lost = mass, lost
         self._settle(seen, at, laser)
         self._normalise()
-        self._bear(seen, 2 * known, relative)
+        self._bear(seen, 2 * known, new)
         self._tidy()
         self._agree(view, laser)
         self._judge_map(self._explains(laser))
@@ -587,11 +587,6 @@ class Tracker:
             self.options = replace(self.options, shared=replace(shared, scale=scale))
             self._scales = []
 
-    def _doubt(self, gained: float) -> float:
-        """Nats by which a scan that gains `gained` nats is likelier at an unknown place."""
-        elsewhere = self.options.trust.mass_elsewhere(gained, 1.0)
-        return float(np.log(elsewhere / (1 - elsewhere)))
-
     def _told(self, seen: Sight, first: int) -> float:
         """Odds, by a single scan, of the places from the index `first` on; at most exp(_MOST)."""
         log = seen.log_likelihood
@@ -606,24 +601,30 @@ class Tracker:
         elsewhere = self.options.trust.mass_elsewhere(gained, float(share))
         return min(float(np.exp(_MOST)), (1 - elsewhere) / elsewhere)
 
-    def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
-        """Index of the pose that each component (C,) is at, and the nats that it gains there."""
+    def _follow(self, seen: Sight) -> tuple[IntArray, FloatArray]:
+        """Index of the pose that each component (C,) is at, and nats that it pays for being there.
+
+        A component may be where it is, where it settles, or at a mode within its gate. Where it
+        settles close by, odometry was off all at once, which costs no more than the gate.
+        """
         known = len(self._poses)
-        apart = seen.poses - self._poses[:, None]
-        apart[..., 2] = wrap(apart[..., 2])
         spread = self._covariance[:, None] + self._noise(seen)
-        square = np.einsum("mci,mcij,mcj->mc", apart, np.linalg.inv(spread), apart)
+        square = squares(seen.poses - self._poses[:, None], spread)
         index = np.arange(known)
-        square[index, index] = 0.0
+        near = index[self._same(self._poses, seen.poses[known : 2 * known])]
+        square[near, known + near] = np.minimum(square[near, known + near], self.how.gate)
         own = np.zeros(square.shape, np.bool_)
         own[index, index] = own[index, known + index] = own[:, 2 * known :] = True
-        fit = np.where(own & (square < self.how.gate), seen.log_likelihood - square / 2, -np.inf)
+        fit = np.where(own & (square <= self.how.gate), seen.log_likelihood - square / 2, -np.inf)
         at = np.argmax(fit, axis=1)
-        return at, np.maximum(relative[at] - new * square[index, at] / 2, -self.how.drop)
+        return at, square[index, at] / 2
+
+    def _same(self, a: FloatArray, b: FloatArray) -> BoolArray:
+        """Return whether poses (..., 3) are near enough to each other to be one component."""
+        return np.asarray((pose_errors(a, b) < self.how.merge).all(axis=-1))
 
     def _noise(self, seen: Sight) -> FloatArray:
-        metres, radians = self.how.error
-        return np.asarray(seen.covariance + np.diag([metres, metres, radians]) ** 2)
+        return np.asarray(seen.covariance + np.diag((self.how.error[0], *self.how.error)) ** 2)
 
     def _settle(self, seen: Sight, at: IntArray, laser: Laser) -> None:
         """Correct the components by the poses they are at.
@@ -657,13 +658,13 @@ class Tracker:
         P = P - gain @ P
         self._covariance[which] = (P + P.transpose(0, 2, 1)) / 2
 
-    def _bear(self, seen: Sight, first: int, relative: FloatArray) -> None:
+    def _bear(self, seen: Sight, first: int, fresh: float) -> None:
         """Move the lost mass to the poses where the scan fits: those from the index `first` on."""
         new, trust = np.arange(first, len(seen.poses)), self.options.trust
         if not len(new):
             return
-        share = np.exp(relative[new])
-        share /= share.sum()
+        log = seen.log_likelihood[new]
+        share = masses(np.maximum((log - log.max()) * fresh, -self.how.drop), 1.0)
         elsewhere = trust.mass_elsewhere(seen.gained, float(share.max()))
         given = self._lost * (1 - elsewhere)
         if given < _NOTHING:
@@ -691,13 +692,10 @@ class Tracker:
         picked, owner = separated(
             self._poses[order], self.how.components, distance=distance, angle=angle
         )
-        mass = np.bincount(owner[owner >= 0], self._mass[order][owner >= 0], len(picked)).astype(
-            np.float64
-        )
-        kept = order[picked]
-        followed = self._followed[order]
-        longest = np.zeros(len(picked))
-        np.maximum.at(longest, owner[owner >= 0], followed[owner >= 0])
+        kept, joined = order[picked], owner >= 0
+        mass, longest = np.zeros((2, len(picked)))
+        np.add.at(mass, owner[joined], self._mass[order][joined])
+        np.maximum.at(longest, owner[joined], self._followed[order][joined])
         some = mass > _NOTHING
         self._poses, self._covariance = self._poses[kept[some]], self._covariance[kept[some]]
         self._mass, self._followed = mass[some], longest[some]

@@ -13,7 +13,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
 from imgloc.filters.evidence import settled, sight, usable, view_of
 from imgloc.filters.follow import BLIND, Moment
-from imgloc.geometry import in_grid_frame, wrap
+from imgloc.geometry import in_grid_frame, pose_errors
 from imgloc.model import LaserScan, Pose2D, base_of, compose, inverse, plain
 from imgloc.numbers import number
 from imgloc.options import Options
@@ -130,7 +130,8 @@ class Watch:
         if answer.verdict == UNIQUE:
             return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
         base = in_grid_frame(claim, self.features.grid)
-        if (held := self._held(base, moment)) > _CHANCE:
+        near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
+        if (held := float(moment.belief.mass[near].sum())) > _CHANCE:
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
         if answer.verdict == "invalid" or (seen := usable(scan, self.options)) is None:
             return CANNOT, "the scan says little", None
@@ -141,17 +142,7 @@ class Watch:
             return CANNOT, "several places fit, or the scan says little", None
         return DISAGREES, f"the scan is {np.exp(-odds):.3g} times as likely in no place", None
 
-    def _held(self, base: Pose2D, moment: Moment) -> float:
-        """Probability of the places of the own filter that are near a pose, grid frame."""
-        x, y, theta = moment.belief.poses.T
-        near = np.hypot(x - base.x, y - base.y) <= _NEAR[0]
-        return float(
-            moment.belief.mass[near & (np.abs(wrap(theta - base.theta)) <= _NEAR[1])].sum()
-        )
-
     def _beside(self, claim: Pose2D, own: Pose2D) -> tuple[str, str, Pose2D | None]:
-        metres = float(np.hypot(claim.x - own.x, claim.y - own.y))
-        turned = abs(float(wrap(claim.theta - own.theta)))
+        metres, turned = apart = pose_errors(np.array([*claim]), own)
         words = f"{metres:.2f} m and {np.rad2deg(turned):.0f} deg apart"
-        near = metres <= _NEAR[0] and turned <= _NEAR[1]
-        return AGREES if near else DISAGREES, words, own
+        return AGREES if (apart <= _NEAR).all() else DISAGREES, words, own

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgloc.geometry import wrap
+from imgloc.geometry import pose_errors
 from imgloc.model import FloatArray, Protection
 from imgloc.numbers import number
 
@@ -112,12 +112,10 @@ def protection(
         return tuple(Protection(share, np.inf, np.inf) for share in shares)
     variance = covariance[:, 2, 2], np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
     turned, wide = (np.sqrt(np.maximum(v, 0)) for v in variance)
-    away = np.hypot(*(poses[:, :2] - poses[0, :2]).T)
+    away, aside = pose_errors(poses, poses[0]).T
     metres = levels(away, wide, mass, elsewhere, shares, POSITION)
     metres = np.where(metres > farthest, np.inf, metres)
-    radians = levels(
-        np.abs(wrap(poses[:, 2] - poses[0, 2])), turned, mass, elsewhere, shares, HEADING
-    )
+    radians = levels(aside, turned, mass, elsewhere, shares, HEADING)
     return tuple(
         Protection(share, float(m), float(t if np.isinf(t) else min(t, np.pi)))
         for share, m, t in zip(shares, metres, radians, strict=True)

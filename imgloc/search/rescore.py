@@ -28,6 +28,8 @@ The first reading of a thing pays for its place, and the others follow from it: 
 on, the next piece of the same thing pays no price. All ways to share the pieces of a scan out are
 summed, piece after piece.
 
+What the map has where the sensor is, is gone, and one thing: rays begin where they leave it.
+
 Rays that meet nothing count less, because glass and dark surfaces return none. Where the map has no
 wall as far as another reading shows that the sensor reaches, they cost nothing. A piece of them (20
 degrees) that should meet a wall is a thing of its own at most: nothing shows that one goes on. A
@@ -128,6 +130,7 @@ def score_poses(
     fits = some & (told > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     things = _whole(log_likelihood, told, own, goes_on, silence, model)
+    things -= _PRICE * _within(features, poses)
     return Scores(
         log_likelihood, things, silence, fits, some & (told < own), passing, on_surface, crossed
     )
@@ -262,16 +265,48 @@ def _shifted(
     """
     both = [readings, readings.silent] if readings.silent else [readings]
     ranges, angles = (np.hstack([getattr(one, of) for one in both]) for of in ("ranges", "angles"))
-    resolution, margin = features.field.resolution, model.margin + features.field.resolution / 2
+    margin = model.margin + features.field.resolution / 2
     far = ranges * poses[:, 3:] if poses.shape[1] == 4 else ranges
     reach = np.maximum(far - margin, 1e-3)
     c, s = (turn(poses[:, 2:3]).astype(np.float32) for turn in (np.cos, np.sin))
     u, v = (turn(angles).astype(np.float32) for turn in (np.cos, np.sin))
     along = c * u - s * v, s * u + c * v
-    seen = cast_along(features.walls, poses[:, None, :2], *along, reach, resolution)
+    seen = _seen(features, poses, along, reach)
     beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
     return np.split(shifted, [len(readings)], axis=1)
+
+
+def _within(features: MapFeatures, poses: FloatArray) -> BoolArray:
+    """Return whether the map has something where each sensor is, (C,)."""
+    return np.asarray(features.field.lookup(poses[:, 0], poses[:, 1])[0] < 0)
+
+
+def _seen(
+    features: MapFeatures, poses: FloatArray, along: tuple[Float32Array, ...], reach: FloatArray
+) -> Float32Array:
+    """Cast rays (C, N): metres to the first wall, or to the first after they have left one.
+
+    Examples
+    --------
+    >>> from imgloc.model import OccupancyGrid
+    >>> box = np.zeros((20, 40), bool)
+    >>> box[5:15, 10:20] = box[:, -1] = True  # a sensor before it, and one in it, look along x
+    >>> features, along = MapFeatures(OccupancyGrid(box, ~box, 0.1)), np.ones((2, 1), np.float32)
+    >>> poses = np.array([[0.5, 1.0, 0.0], [1.5, 1.0, 0.0]])
+    >>> np.rint(10 * _seen(features, poses, (along, 0 * along), np.full((2, 1), 9.0))).tolist()
+    [[5.0], [24.0]]
+    """
+    cell, at = features.field.resolution, poses[:, None, :2]
+    seen = cast_along(features.walls, at, along[0], along[1], reach, cell)
+    if (within := _within(features, poses)).any():
+        inside = np.maximum(np.float32(0.5) - features.field.distance / np.float32(cell), 0)
+        inside[features.field.steps >= 0] = 0
+        u, v, far = along[0][within], along[1][within], np.broadcast_to(reach, seen.shape)[within]
+        left = np.minimum(cast_along(inside, at[within], u, v, far, cell) + cell / 2, far)
+        at, far = at[within] + left[..., None] * np.stack((u, v), -1), np.maximum(far - left, 1e-3)
+        seen[within] = left + cast_along(features.walls, at, u, v, far, cell)
+    return seen
 
 
 def _stands(shifted: Float32Array, model: EvidenceModel) -> Float32Array:
