@@ -195,7 +195,7 @@ def test_csv_with_odometry(tmp_path: Path) -> None:
 
 def test_csv_with_columns_that_are_no_ranges(tmp_path: Path) -> None:
     head = "# angle_min=0, angle_increment=0.5\n"
-    with pytest.raises(ScanError, match="columns yaw_deg: the other columns are ranges such as d0"):
+    with pytest.raises(ScanError, match="columns yaw_deg, expected all of x, y, theta"):
         csv(tmp_path, f"{head}time,yaw_deg,d0,d1,d2\n7,1,2,3,4\n")
     assert len(csv(tmp_path, f"{head}left,front,right\n2,3,4\n")[0].ranges) == 3
 

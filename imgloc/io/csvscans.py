@@ -264,7 +264,7 @@ class _Table:
         places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
         for key, wanted in _PLACES.items():
             if 0 < len(places[key]) < len(wanted):
-                there, every = ", ".join(c for c in wanted if c in by), ", ".join(wanted)
+                there, every = ", ".join(names[i] for i in places[key]), ", ".join(wanted)
                 raise ScanError(f"{self.name}: columns {there}, expected all of {every} or none")
         if not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
             if fov is None:
