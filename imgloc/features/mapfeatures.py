@@ -180,6 +180,7 @@ class MapFeatures:
             if not np.array_equal(walls, there.grid.occupied):  # else they are lines by now
                 free = self.grid.free | (self.grid.occupied & ~walls)
                 there = replace(self, grid=replace(self.grid, occupied=walls, free=free))
+                vars(there)["straight"] = self.straight  # what was drawn stays drawn
             self._thinner[cells] = there
         return self._thinner[cells]
 

@@ -27,9 +27,9 @@ from imgloc.runs.opening import Desk, MapFiles
 PICTURES = ("none", "doubtful", "all")
 LOCATING = frozenset({
     "Bending", "Calibration", "EvidenceModel", "FusedOptions", "Trust", "adapt", "background",
-    "beam", "faces", "floor", "hypotheses", "messages", "odometry", "options", "pipeline",
-    "priors", "proposals", "protection", "refine", "rescore", "tolerances",
-    "trust", "truth", "weigh",
+    "beam", "covariance", "distance", "faces", "floor", "messages", "odometry", "options",
+    "pipeline", "priors", "proposals", "protection", "refine", "rescore", "tolerances", "trust",
+    "truth", "weigh",
 })  # fmt: skip
 """Families of :mod:`imgloc.numbers` that decide where a scan is."""
 
