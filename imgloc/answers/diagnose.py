@@ -119,23 +119,28 @@ def doubts(
     return [trial.elsewhere()] if 2 * counts["no-match"] > len(scans) or trial.asked else []
 
 
-def mirrored(
+def misread(
     features: MapFeatures, scans: ScanSet, said: Said, options: Options,
     given: Given | None = None, log: ScanSet | None = None,
 ) -> Cause | None:  # fmt: skip
-    """Say that scans which do not fit do so if left and right are swapped.
+    """Say that scans fit far better if left and right are swapped, or on another scale.
 
-    A mirrored sensor fits a corridor, where both sides are alike, though walls seem to be gone.
-    The parameters are those of :func:`doubts`; here most of the scans may fit as they are.
+    A mirrored sensor fits a corridor, where both sides are alike, and a laser of a short view fits
+    a map whose cells are 10 % too large, though walls seem to be gone. The parameters are those of
+    :func:`doubts`; here most of the scans may fit as they are.
     """
-    strained = options.fused.strained
-    doubtful = [k for k, (v, e) in enumerate(said) if is_doubtful(v, e) or e.misfit >= strained]
+    bad, known = options.fused.strained, options.shared.scale
+    moved = [k for k, (_, evidence) in enumerate(said) if evidence.scale != known]
+    strained = (k for k, (v, e) in enumerate(said) if is_doubtful(v, e) or e.misfit >= bad)
+    doubtful = sorted({*moved, *strained})
     if not doubtful:
         return None
-    misfit = float(np.median([said[k][1].misfit for k in doubtful]))
-    some = scans.take(doubtful)
-    one, given = len(scans) == 1, given or Given()
-    return _Trial(features, some, options, given, one, misfit, log or scans).mirrored()
+    # Scans that were moved to another scale show that theirs is wrong: which is right is left.
+    more = _FITS if 2 * len(moved) > len(said) else 0.0
+    misfit = more + float(np.median([said[k][1].misfit for k in doubtful]))
+    some, one, given = scans.take(doubtful), len(scans) == 1, given or Given()
+    trial = _Trial(features, some, options, given, one, misfit, log or scans)
+    return trial.mirrored() or trial.scale()
 
 
 @dataclass(frozen=True)

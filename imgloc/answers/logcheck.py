@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.causes import AGREE, Cause, Given, cause
-from imgloc.answers.diagnose import doubts, mirrored, place_words, too_few, units_cause, units_of
+from imgloc.answers.diagnose import doubts, misread, place_words, too_few, units_cause, units_of
 from imgloc.answers.scanmotion import (
     AGREES,
     POOR,
@@ -150,15 +150,12 @@ def on_map(
     facts, findings = dict(report.facts), list(report.findings)
     facts["on_map"] = {v: sum(a.verdict == v for a in answers) for v in VERDICTS}
     sure = [answer.explained for answer in answers if answer.verdict == "unique"]
+    unsure = 2 * len(sure) < len(answers)
     facts["not_on_map"] = 1 - float(np.median(sure)) if sure else None
     said = [(answer.verdict, answer.evidence) for answer in answers]
     if not _UNDONE & {f.code for f in findings if f.code != "units"}:
         about = features, some, said, options, given, scans
-        causes = doubts(*about) if 2 * len(sure) < len(answers) else []
-        causes = causes or [*filter(None, [mirrored(*about)])]
-        for found in causes:
-            if found.code == "thick":  # whose advice is to follow the robot
-                continue
+        for found in (f for f in _causes(*about) if unsure or f.code != "bent"):
             code = {"mirrored": "flipped", "units": "units"}.get(found.code, "map")
             code = "mirrored" if found.code == "mirrored" and not found.options else code
             told = {"units"} | ({"disagree"} if found.code == "scale" else set())
@@ -176,11 +173,20 @@ def on_map(
         if scans.odom is not None and np.isfinite(scans.odom).all():
             at = sensor_poses(scans)
             facts["odometry_fits"] = poses_fit(features.grid, scans.scans, at)
-        unsure = 2 * len(sure) < len(answers)
         if unsure and not {"map", "mirrored", "flipped"} & {f.code for f in findings}:
             besides = ", and the recorded poses do not fit it" * (facts["poses_fit"] is False)
             findings.append(cause("map/undecided", sure=len(sure) or "none", besides=besides))
     return replace(report, facts=facts, findings=tuple(_sorted(findings)))
+
+
+def _causes(*about: Any) -> list[Cause]:
+    """Causes that keep scans from fitting a map, by :func:`doubts` and :func:`misread`.
+
+    They are without ``thick``, whose advice is to follow the robot.
+    """
+    causes = doubts(*about)
+    found = misread(*about) if {found.code for found in causes} <= {"bent"} else None
+    return [found] if found else [found for found in causes if found.code != "thick"]
 
 
 def located(
@@ -211,20 +217,16 @@ def doubt_of_log(
     with a unique pose along the way: if it is not small, a map that they do not fit is an old one.
     """
     report = check_log(scans, given=given)
-    serious = [finding for finding in report.findings if finding.serious]
-    if first := next((f for f in serious if f.code in _UNDONE - {"units", "few"}), None):
+    told = [f for f in report.findings if f.serious or f.code == "disagree"]
+    if first := next((f for f in told if f.code in _UNDONE - {"units", "few"}), None):
         return first
     some, answers = located(features, scans, options)
     said = [(answer.verdict, answer.evidence) for answer in answers]
-    causes = doubts(features, some, said, options, given, scans)
-    found = next((found for found in causes if found.code != "thick"), None)
-    if not causes:
-        found = mirrored(features, some, said, options, given, scans)
+    found = next(iter(_causes(features, some, said, options, given, scans)), None)
     if found is not None and found.code == "map" and followed >= _OLD:
         return cause("old/followed", share=followed)
-    if found is None and start is not None:
-        found = _started(features, scans, options, start)
-    return found or next(iter(serious), None)
+    found = found or (None if start is None else _started(features, scans, options, start))
+    return found or next(iter(told), None)
 
 
 def _started(
@@ -446,14 +448,14 @@ def _undone(way: Way, scans: ScanSet, given: Given | None) -> Cause:
         return replace(one, text=f"{one.text}, and {more}", options=both, advice=advice)
     view = math.degrees(float(np.ptp(scans[0].angles)))
     mount = scans[0].T_base_laser or Pose2D(0.0, 0.0)
-    turned = Pose2D(mount.x, mount.y, mount.theta + way.value)
+    yaw = math.degrees(Pose2D(0.0, 0.0, mount.theta + way.value).theta)
     unit = "s" if scans.stamps is not None else "scans"
     stated = given is not None and given.view_of(scans[0]) is not None
     key = way.code + {"units": "/moved", "view": "/stated" * stated}.get(way.code, "")
     return cause(
         key, given, factor=way.value, lead=AGREE,
         unit="millimetres" if way.value < 0.005 else "centimetres", turn=math.degrees(way.value),
-        sensor=f"{turned.x:g},{turned.y:g},{math.degrees(turned.theta):.4g}deg", view=view,
+        sensor=f"{mount.x:g},{mount.y:g},{round(yaw, 2) + 0.0:g}deg", view=view,
         right=view * way.value, late=abs(way.value),
         side=f"{unit} {'after' if way.value > 0 else 'before'}",
     )  # fmt: skip

@@ -251,7 +251,7 @@ class _Sink:
             self.hints = first.doubts(scans, self.said)
         passed = aged(first.features.grid, self.sure, first.options.shared)
         if passed and not self.hints:  # to a sensor upside down walls are gone, too
-            found = first.mirrored(scans, self.said)
+            found = first.misread(scans, self.said)
             self.hints = [found or passed]
         for hint in self.hints:
             if hint.code != "swapped":  # is said when the map is read

@@ -222,11 +222,12 @@ def track(
         say(deviation_of(moments, truth).words)
     share = sum(m.belief.verdict == "unique" for m in moments) / len(moments)
     stated = how.given.beside(map_path, grid, drawn)
-    if live is None and share < FOLLOWED:
+    aged = inputs.aged_along(grid, scans, moments, chosen.options.shared)
+    if live is None and (share < FOLLOWED or (aged is not None and aged.serious)):
         hint = doubt_of_log(features, scans, options, stated, share, asked.start)
     else:
         hint = bent_walls(chosen.options.shared, options.shared, grid.resolution, stated)
-    _warn(hint, inputs.aged_along(grid, scans, moments, chosen.options.shared))
+    _warn(hint, aged)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.answers.causes import Cause, Given
-from imgloc.answers.diagnose import Said, doubts, mirrored
+from imgloc.answers.diagnose import Said, doubts, misread
 from imgloc.answers.truth import with_true_poses
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
@@ -146,11 +146,11 @@ class Locating:
             return []
         return doubts(self.features, scans, said, self.options, self._given)
 
-    def mirrored(self, scans: ScanSet, said: Said) -> Cause | None:
-        """The cause if scans that do not fit, by their verdicts `said`, do so mirrored."""
+    def misread(self, scans: ScanSet, said: Said) -> Cause | None:
+        """The cause if scans that do not fit, by their verdicts `said`, do so read otherwise."""
         if not self._tries:
             return None
-        return mirrored(self.features, scans, said, self.options, self._given)
+        return misread(self.features, scans, said, self.options, self._given)
 
     @property
     def _tries(self) -> bool:
