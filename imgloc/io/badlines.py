@@ -119,7 +119,7 @@ class BadLines:
         total = self.count + good
         if self.count > self.most * total:
             hint = ""
-            if good:
+            if self.count <= 3 * good:  # else the file is another one, and little would be left
                 share = min(1.0, 0.01 * -(-100 * self.count // total))
                 are = "is" if self.count == 1 else "are"
                 hint = f" ({self.count:,} of {total:,} {are} broken; "

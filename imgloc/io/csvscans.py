@@ -38,11 +38,11 @@ _DEGREE = math.pi / 180
 # By how a word for it begins, the longest beginning first; all others are SI.
 _UNITS = {
     "mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "f": 0.3048, "in": 0.0254,
-    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "grad": _DEGREE, "mrad": 1e-3,
-    "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
+    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "grad": _DEGREE, "gon": math.pi / 200,
+    "mrad": 1e-3, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
 }  # fmt: skip
 _LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?met(?:re|er)s?"
-_TURNED = r"°|grad|c?deg(?:rees?)?|m?rad(?:ians?)?"
+_TURNED = r"°|grad|gon|c?deg(?:rees?)?|m?rad(?:ians?)?"
 _UNIT = re.compile(rf"(?:[\s_.(\[/]|\bin\b|_in_)+({_LENGTH}|{_TURNED}|ms|us|ns|s|sec)[)\]]?$")
 _SAID = re.compile(
     rf"(?:(?:\b|_)(?:units?|in|are)\b[\s:='\"]*|[(\[])(?:({_LENGTH})|({_TURNED}))(?![\w.])"
