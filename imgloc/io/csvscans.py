@@ -2,6 +2,8 @@
 
 >>> role_of("field.ranges12"), role_of("/scan/angle_min"), role_of("Distance [mm]")
 (('ranges', 12, 1.0), ('angle_min', 0, 1.0), ('range', 0, 0.001))
+>>> [round(200 * role_of(name)[2] / math.pi, 6) for name in ("phi [gon]", "phi_deg", "phi")]
+[1.0, 1.111111, 63.661977]
 """
 
 import contextlib
