@@ -309,3 +309,9 @@ def test_an_echo_whose_step_cannot_be_is_left_out(tmp_path: Path, step: str) -> 
         load_scans(path)
     path.write_text("".join(line.format(t, s) for t, s in ((1, step), (2, 0.5), (3, 0.5))))
     assert len(load_scans(path, max_bad=0.5)) == 2
+
+
+def test_a_cell_longer_than_any_is_a_broken_line(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f'"{"a" * 200_000}",1,2\n')
+    with pytest.raises(ScanError, match="line 1: column 1"):
+        load_scans(tmp_path / "a.csv", fov=1.0)

@@ -146,7 +146,8 @@ def cells_of(text: str) -> list[str]:
     if mark or (" " in text and all(map(_NUMBER.fullmatch, text.split()))):
         return [re.sub(r"^([-+]?\d*),(\d+)", r"\1.\2", c.strip()) for c in text.split(mark)]
     if '"' in text:
-        return [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True))]
+        with contextlib.suppress(csv.Error):  # of a cell that is longer than any
+            return [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True))]
     return [cell.strip() for cell in text.split(",")] if "," in text else text.split()
 
 
