@@ -305,9 +305,9 @@ class FusedOptions(Checked):
     twins: tuple[Metres, Radians] = number("FusedOptions.twins")
     #: distance, metres and radians, below which two proposals are one pose
     same: tuple[Length, Step] = number("FusedOptions.same")
-    #: misfit of the best endpoint proposal, nats per reading, above which parts of the scan propose
-    #: others
-    unfit: Nats = number("FusedOptions.unfit")
+    #: share of the nats that the best place of the first look lacks by which it has to lead the
+    #: others; else parts of the scan propose more, if it is `strained`
+    led: Share = number("FusedOptions.led")
     #: misfit, nats per reading, above which an error that all readings share is looked for, see
     #: :mod:`imgloc.search.adapt`
     strained: Nats = number("FusedOptions.strained")

@@ -24,6 +24,7 @@ from imgloc.errors import expect
 from imgloc.features.floor import floors, left_out
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
+from imgloc.geometry import pose_errors
 from imgloc.io.maps import require_usable
 from imgloc.likelihoods.stacks import Stack, held_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
@@ -230,9 +231,10 @@ def find_modes_by_steps(
     looked, score = look(features, proposals, few, options)
     yield
 
-    # If none of them fits, a thing may hold half of the readings: others propose without it. Where
-    # things are drawn they may fit at a wrong place.
-    unfit = not len(looked) or score[0] < (options.model.best - fused.unfit) * len(few)
+    # If none of them fits, and none leads by as much, a thing may hold half of the readings: others
+    # propose without it. Where things are drawn they may fit at a wrong place.
+    lacks = options.model.best * len(few) - score.max(initial=-np.inf)
+    unfit = lacks > fused.strained * len(few) and lead(looked, score, options) < fused.led * lacks
     if (unfit or features.furnished is not None) and more is None:
         others = [np.empty((0, 3))]
         for part in seen.parts():
@@ -283,6 +285,17 @@ def look(
     poses = _refined(proposals, few, features, FIRST_LOOK, options)
     poses = poses if before is None else np.concatenate((before, poses))
     return shortlist(poses, few, features, options)
+
+
+def lead(poses: FloatArray, score: FloatArray, options: Options) -> float:
+    """Nats by which the first of poses (L, 3), the best one, leads all that are other hypotheses.
+
+    `score` (L,) has their nats. Nothing leads by nothing, and a single place by infinitely many.
+    """
+    if not len(poses):
+        return 0.0
+    other = (pose_errors(poses, poses[0]) > options.fused.separation).any(axis=1)
+    return float(score[0] - score[other].max(initial=-np.inf))
 
 
 def _refined(

@@ -174,7 +174,7 @@ class _Trial:
         The list is empty unless all of these scans, or `most` of them, are unique.
         """
         # Parts of a scan find a few places more, which takes longer than all the rest.
-        quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
+        quick = replace(self.options, fused=replace(self.options.fused, led=0.0))
         quick = replace(quick, prior=prior or quick.prior, shared=shared or quick.shared)
         once = replace(quick, fused=replace(quick.fused, strained=np.inf))
         found = list[Localization]()
@@ -316,7 +316,7 @@ class _Trial:
         path = self.scans.odom if odometry else self.scans.poses
         if path is None or not np.isfinite(path[tried]).all():
             return None
-        quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
+        quick = replace(self.options, fused=replace(self.options.fused, led=0.0))
         found = list[tuple[Pose2D, Pose2D, float]]()  # where, by the map and the path; what fits
         for k in tried:
             answer, mount = localize(self.features, self.scans[k], quick), Pose2D(0.0, 0.0)
