@@ -180,8 +180,9 @@ def _located(
 
 
 def find_modes(
-    features: MapFeatures, scan: LaserScan, options: Options, *, more: FloatArray | None = None
-) -> Modes:
+    features: MapFeatures, scan: LaserScan, options: Options, *,
+    more: FloatArray | None = None, alone: bool = False,
+) -> Modes:  # fmt: skip
     """Search a map for all poses that fit a scan, by the default method.
 
     Endpoint correlation proposes poses. If none of them fits, it proposes others with parts of the
@@ -199,13 +200,15 @@ def find_modes(
         Prior, limits and time budget of the search.
     more : (M, 3) float array, optional
         Proposals in place of those of parts, grid frame: metres, metres, radians.
+    alone : bool
+        These propose alone, without the whole scan.
 
     Returns
     -------
     Modes
         Separated modes in the grid frame, best first; perhaps none.
     """
-    steps = find_modes_by_steps(features, scan, options, more=more)
+    steps = find_modes_by_steps(features, scan, options, more=more, alone=alone)
     while True:
         try:
             next(steps)
@@ -214,8 +217,9 @@ def find_modes(
 
 
 def find_modes_by_steps(
-    features: MapFeatures, scan: LaserScan, options: Options, *, more: FloatArray | None = None
-) -> Generator[None, None, Modes]:
+    features: MapFeatures, scan: LaserScan, options: Options, *,
+    more: FloatArray | None = None, alone: bool = False,
+) -> Generator[None, None, Modes]:  # fmt: skip
     """Search as :func:`find_modes` does, and pause after each step; return the modes."""
     fused = options.fused
     end = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
@@ -225,7 +229,7 @@ def find_modes_by_steps(
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
 
     # Propose poses whose endpoints fall on walls, and pick those that are worth more readings.
-    proposals = propose(features, few, options, end)
+    proposals = np.empty((0, 3)) if alone else propose(features, few, options, end)
     proposals = proposals if more is None else np.concatenate((proposals, more))
     yield
     looked, score = look(features, proposals, few, options)
@@ -234,7 +238,8 @@ def find_modes_by_steps(
     # If none of them fits, and none leads by as much, a thing may hold half of the readings: others
     # propose without it. Where things are drawn they may fit at a wrong place.
     lacks = options.model.best * len(few) - score.max(initial=-np.inf)
-    unfit = lacks > fused.strained * len(few) and lead(looked, score, options) < fused.led * lacks
+    leads = lead(looked, score, options) >= fused.led * lacks
+    unfit = lacks > fused.strained * len(few) and not leads
     if (unfit or features.furnished is not None) and more is None:
         others = [np.empty((0, 3))]
         for part in seen.parts():
@@ -250,7 +255,7 @@ def find_modes_by_steps(
     poses = _refined(looked, many, features, SECOND_LOOK, options)
     scores = score_poses(features, many, poses, options.model)
     poses, scores, spread = separate(features, poses, scores, len(many), options)
-    return Modes(poses, scores, many, complete=not late, looked=looked, spread=spread)
+    return Modes(poses, scores, many, not late, looked, leads, spread)
 
 
 def propose(features: MapFeatures, few: Readings, options: Options, end: float) -> FloatArray:
@@ -317,10 +322,10 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     """
     fused, start = options.fused, time.monotonic()
 
-    def find(shared: Shared, floor: Floor | None = None, more: FloatArray | None = None) -> Modes:
+    def find(shared: Shared, floor: Floor | None = None, **how: Any) -> Modes:
         there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
         left = options.left(time.monotonic() - start, shared=shared)
-        return replace(find_modes(there, seen, left, more=more), shared=shared, floor=floor)
+        return replace(find_modes(there, seen, left, **how), shared=shared, floor=floor)
 
     def again(*how: Any, **more: Any) -> Modes:
         if not (repeated := find(*how, **more)).complete:
@@ -350,10 +355,13 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         for _ in range(_ROUNDS):
             if lacks(found) <= fused.strained or not len(found.poses):
                 break
-            shared = adapt(features, found.readings, found.places, found.shared, options)
+            places = found.places
+            if found.leads:
+                places = places[(pose_errors(places, places[0]) <= fused.separation).all(axis=1)]
+            shared = adapt(features, found.readings, places, found.shared, options)
             if shared == found.shared:
                 break
-            adapted = again(shared, found.floor, more=found.places)
+            adapted = again(shared, found.floor, more=found.places, alone=found.leads)
             if adapted.mean_score <= found.mean_score:
                 break
             found = adapted

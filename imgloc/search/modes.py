@@ -25,6 +25,7 @@ class Modes:
     complete: bool = True  #: the search came to its end
     #: (L, 3) poses that were chosen for the second look, before it moved them
     looked: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    leads: bool = False  #: the best of them led the others so far that no search changes that
     #: (C, 3, 3) second moments of the maxima around `poses`; None if there are none to give
     spread: FloatArray | None = None
     shared: Shared = field(default_factory=Shared)  #: the error that was allowed for
