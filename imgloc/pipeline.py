@@ -16,12 +16,12 @@
 import time
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from imgloc.errors import expect
-from imgloc.features.floor import floors, left_out
+from imgloc.features.floor import floors, left_out, on_floor
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.geometry import pose_errors
@@ -37,7 +37,7 @@ from imgloc.search.modes import Modes, separate
 from imgloc.search.priors import pyramid_levels, standing
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
-from imgloc.search.rescore import score_poses, shortlist
+from imgloc.search.rescore import APART, score_poses, shortlist
 from imgloc.search.stacked import weigh_stack
 from imgloc.search.weigh import MODES, nothing, weigh
 
@@ -335,6 +335,14 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     def lacks(found: Modes) -> float:
         return options.model.best - options.shared.usual - found.mean_score
 
+    def rivals(without: Modes, whole: Modes) -> bool:
+        # The side of a cart looks like a floor, too, and what is left fits more places: all
+        # readings decide. One on the floor is a thing's, but lacks no more than one that fits.
+        there, seen = features.thinner(without.shared.thinner), whole.readings
+        things = score_poses(there, seen, without.poses[:1], options.model).things[0]
+        on = np.count_nonzero(on_floor(seen.ranges, seen.angles, cast(Floor, without.floor)))
+        return bool(things + on * (APART - fused.strained) >= whole.scores.things[0])
+
     # With furniture that may be gone any scale would fit somewhere.
     adapts = features.furnished is None and fused.strained < np.inf
     # Where walls may be bent, parts of the scan propose once it is known whether they are.
@@ -347,10 +355,11 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
             gain = drawn_gain(features, found.readings, found.places, options)
             options = replace(options, shared=drawn_walls(features, gain, options.shared))
             found = again(options.shared)
+        whole = found
         for floor in floors(scan) if lacks(found) > fused.strained else ():
             if left_out(scan, floor).directions >= options.trust.readings:
                 without = again(options.shared, floor, more=np.empty((0, 3)))
-                if lacks(without) <= min(fused.strained, lacks(found)):
+                if lacks(without) <= min(fused.strained, lacks(found)) and rivals(without, whole):
                     found = without
         for _ in range(_ROUNDS):
             if lacks(found) <= fused.strained or not len(found.poses):

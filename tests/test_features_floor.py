@@ -159,3 +159,15 @@ def test_what_is_returned_keeps_all_limits(seed: int) -> None:
         turn = 1 if math.isnan(floor.direction) else np.cos(ANGLES - floor.direction)
         beyond = np.sum(scan.ranges * turn > floor.distance + 0.24)
         assert beyond <= 0.02 * floor.share * 360
+
+
+def test_a_place_where_a_lorry_stands_wins_against_one_where_it_would_be_floor() -> None:
+    grid = imgloc.load_map(MAPS / "large.yaml")
+    scan, pose = list(imgloc.simulate(grid, 36, seed=3).with_poses())[-1]
+    ahead, across = np.cos(scan.angles), 2.2 * np.tan(scan.angles)
+    side = np.where((ahead > 0) & (np.abs(across) < 2.5), 2.2 / ahead, np.inf)
+    lorry = replace(scan, ranges=np.minimum(scan.ranges, side))
+    assert floors(lorry)
+    answer = imgloc.localize(imgloc.prepare(grid), lorry)
+    assert answer.evidence.floor is None
+    assert math.hypot(answer.best.x - pose[0], answer.best.y - pose[1]) < 0.1

@@ -18,7 +18,7 @@ from imgloc.io.scans import load_scans
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse, to_json
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
-from imgloc.pipeline import localize, localize_many, prepare
+from imgloc.pipeline import lead, localize, localize_many, prepare
 from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -280,3 +280,11 @@ def test_many_scans_are_answered_as_each_alone(options) -> None:
         list(localize_many(features, [scan, scan.ranges]))
     with pytest.raises(ConfigError, match="time budget"):
         localize_many(features, [], Options("ght", time_budget=1.0))
+
+
+def test_a_place_leads_other_places_not_the_poses_beside_it() -> None:
+    poses = np.array([[1.0, 1.0, 0.0], [1.1, 1.0, 0.1], [1.0, 1.0, 1.0], [5.0, 1.0, 0.0]])
+    score = np.array([9.0, 8.0, 6.0, 2.0])
+    assert lead(poses, score, Options()) == 3.0  # another heading is another hypothesis
+    assert lead(poses[:2], score[:2], Options()) == np.inf
+    assert lead(poses[:0], score[:0], Options()) == 0.0

@@ -37,10 +37,16 @@ def as_located(scan: LaserScan, evidence: Evidence) -> LaserScan:
     return left_out(scan, evidence.floor).scaled(evidence.scale)
 
 
+def on_floor(
+    ranges: FloatArray, angles: FloatArray, floor: Floor, width: float = _WIDTH
+) -> BoolArray:
+    """Which readings (N,), metres and radians, end within a `width` of a floor, metres."""
+    return np.asarray(np.abs(_depth(ranges, angles, floor) - floor.distance) <= width)
+
+
 def _on(scan: LaserScan, floor: Floor, width: float = _WIDTH) -> BoolArray:
-    """Which readings (N,) of a scan end on a floor."""
-    depth = _depth(scan.ranges, scan.angles, floor)
-    return np.asarray(scan.valid & (np.abs(depth - floor.distance) <= width))
+    """Which readings (N,) of a scan are valid and end on a floor."""
+    return np.asarray(scan.valid & on_floor(scan.ranges, scan.angles, floor, width))
 
 
 def _depth(ranges: FloatArray, angles: FloatArray, floor: Floor) -> FloatArray:

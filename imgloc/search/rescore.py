@@ -64,7 +64,7 @@ _OFFSETS: tuple[int, float] = number("rescore.offsets")
 _EQUAL: float = number("rescore.equal")
 _EQUALS: int = number("rescore.equals")
 # Nats that a thing of its own costs, and nats that each of its readings lacks against a fit.
-_PRICE, _APART = number("rescore.price"), number("rescore.apart")
+_PRICE, APART = number("rescore.price"), number("rescore.apart")
 # Standard deviation, metres, of the place of a piece that is mapped elsewhere than it stands, and
 # nats that this costs.
 _DISPLACED, _DISPLACEMENT = number("rescore.displaced")
@@ -237,7 +237,7 @@ def _whole(
 
 def things_of_their_own(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:
     """Log-density (P,) of pieces of `n` readings that are on no map, nats; see :func:`pieces`."""
-    return np.asarray(_sizes(parts, n) * (model.best - _APART) - _PRICE)
+    return np.asarray(_sizes(parts, n) * (model.best - APART) - _PRICE)
 
 
 def _sizes(parts: IntArray, n: int) -> IntArray:
