@@ -160,6 +160,9 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers/odd": _wrong("of {laser} only {share:.0%} of the readings fall on an earlier scan, "
                              "as the odometry has it, but {better:.0%} if it {how}. Mend its place "
                              "on the robot, or leave it out", "`topic={others}`"),
+    "two-lasers/mirrored": _wrong("scans of {laser} fit the map only if mirrored, those of "
+                                  "{others} as they are: is {laser} upside down? Mend its place "
+                                  "on the robot, or leave it out", "`topic={others}`"),
     "two-lasers/apart": _warns("{count} lasers: this is {first}; `topic` picks one of {names}"),
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "

@@ -98,8 +98,9 @@ def doubts(
     some = range(len(scans)) if fit else doubtful
     misfit = float(np.median([said[k][1].misfit for k in some]))
     trial = _Trial(
-        features, scans.take(some), options, given, len(scans) == 1, misfit, log or scans
-    )
+        features, scans.take(some), options, given, len(scans) == 1, misfit, log or scans,
+        _fitting(scans, some),
+    )  # fmt: skip
     if found := trial.calibration(is_bent=bool(bent_)):
         return [found]
     if fit:
@@ -139,8 +140,17 @@ def misread(
     more = _FITS if 2 * len(moved) > len(said) else 0.0
     misfit = more + float(np.median([said[k][1].misfit for k in doubtful]))
     some, one, given = scans.take(doubtful), len(scans) == 1, given or Given()
-    trial = _Trial(features, some, options, given, one, misfit, log or scans)
+    fine = _fitting(scans, doubtful)
+    trial = _Trial(features, some, options, given, one, misfit, log or scans, fine)
     return trial.mirrored() or trial.scale()
+
+
+def _fitting(scans: ScanSet, doubtful: Sequence[int]) -> list[str]:
+    """The lasers of which most scans are not doubtful, if there are several."""
+    every = Counter(scan.laser for scan in scans.scans)
+    doubted = Counter(scans[k].laser for k in doubtful)
+    sure = [laser for laser in every if 2 * doubted[laser] < every[laser]]
+    return sure if len(every) > 1 else []
 
 
 @dataclass(frozen=True)
@@ -154,12 +164,19 @@ class _Trial:
     one: bool  #: whether there is only one scan
     misfit: float  #: median of the scans as they were located, nats per reading
     log: ScanSet  #: the scans that they are from
+    fitting: Sequence[str]  #: those of several lasers of which most scans fit as they are
 
     @property
     def tried(self) -> list[int]:
         """Indices of a few of the scans."""
         seeing = [k for k, scan in enumerate(self.scans.scans) if scan.directions]
         return [seeing[k] for k in evenly(len(seeing), _TRIED).tolist()]
+
+    def of(self, laser: str) -> "_Trial":
+        """The same with the scans of one laser."""
+        scans = self.scans
+        own = [k for k, scan in enumerate(scans.scans) if scan.laser == laser]
+        return self if len(own) == len(scans) else replace(self, scans=scans.take(own))
 
     @property
     def fits(self) -> str:
@@ -265,8 +282,15 @@ class _Trial:
 
     def mirrored(self) -> Cause | None:
         """The scans fit if left and right are swapped."""
-        if not self.unique(lambda scan: scan.flipped, most=True):
+        fits = [
+            name for name in self.scans.lasers if name not in self.fitting
+            and self.of(name).unique(lambda scan: scan.flipped, most=True)
+        ]  # fmt: skip
+        if not fits:
             return None
+        if self.fitting:  # by these the map is not mirrored
+            others = ",".join(name for name in self.log.lasers if name not in fits)
+            return cause("two-lasers/mirrored", laser=", ".join(fits), others=others)
         agrees, odom = math.nan, self.log.odom
         if odom is not None and np.isfinite(odom).all():
             agrees = agreement(self.log, odom).share
