@@ -1,6 +1,5 @@
 """`imgloc inspect`: what is in a log or a map, before it is used."""
 
-import contextlib
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 from imgloc.cli import options as opt
 from imgloc.cli.command import Typed
 from imgloc.cli.console import LOG, emit
-from imgloc.errors import ConfigError, MapError, ScanError, as_options
+from imgloc.errors import ConfigError, ScanError, as_options
 from imgloc.io.files import display
 from imgloc.options import Logs, MemoryBudget, Mounting, Options
 from imgloc.ranges import declared, option
@@ -78,18 +77,11 @@ def _is_map(path: Path) -> bool:
     """True of a map: an image, a YAML that names one, or a bundled map by its name."""
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
     from imgloc.io.maps import YAML_ENDINGS
-    from imgloc.io.mapyaml import image_named
-    from imgloc.io.scans import SCAN_ENDINGS
-    from imgloc.io.text import unmarked
+    from imgloc.io.scans import SCAN_ENDINGS, why_no_scans
 
     ending = path.suffix.lower()
     if ending in YAML_ENDINGS:
-        with contextlib.suppress(MapError):
-            image_named(path)
-            return True
-        with contextlib.suppress(OSError), path.open("rb") as file:
-            return b"ranges:" not in unmarked(file.read(4096))  # as ros2 topic echo prints
-        return True
+        return bool(why_no_scans(path))
     if ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
         return True
     return ending not in SCAN_ENDINGS and opt.find_map(path) != path

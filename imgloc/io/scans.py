@@ -325,6 +325,34 @@ def _kind_of(path: PathLike) -> _Kind:
     raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)} or a table of numbers")
 
 
+def why_no_scans(path: PathLike) -> str:
+    """Why a file of a folder is not taken for one of scans; empty if it is.
+
+    Without an ending that decides, the first lines do: notes are no table of numbers.
+    """
+    if Path(path).suffix.lower() in SCAN_ENDINGS:
+        return ""
+    try:
+        kind = _kind_of(path)
+        with open_text(path) as (file, _):
+            head = unmarked(file.read(_HEAD))
+    except ScanError as error:
+        return str(error).removeprefix(f"{display(path)}: ").partition(", expected")[0]
+    if kind is _ECHO:
+        return "" if b"ranges:" in head else "no scans of ros2 topic echo"
+    lines = (line.strip() for line in head.splitlines() if line[:1] != b"#")
+    words = [re.split(rb"[\s,;]+", line) for line in lines]
+    tables = sum(2 * sum(map(_is_number, line)) >= len(line) for line in words)
+    return "" if kind is not _CSV or 2 * tables >= max(len(words), 1) else "no table of numbers"
+
+
+def _is_number(word: bytes) -> bool:
+    with contextlib.suppress(ValueError):
+        float(word)
+        return True
+    return False
+
+
 def _refuse_spoken(path: PathLike) -> None:
     """ScanError for a text of a program whose scans are not read, with what would do."""
     with open_text(path) as (opened, _):
