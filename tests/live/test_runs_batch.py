@@ -242,7 +242,7 @@ def test_files_of_a_folder_are_told_by_what_they_hold(tmp_path: Path, caplog) ->
     table = "# angle_min=-1, angle_max=1, range_max=9\n1.5,2.5,nan,3\n"
     echoed = "header:\n  frame_id: laser\nangle_min: 0\nranges: [1, 2]\n---\n"
     taken = {"a.txt": table, "b": table, "c.txt": echoed, "d.yaml": echoed}
-    left = {"README.txt": "The 2 scans of May.\n", "e.npy": "x", "f.png": "", "map.yaml": "image: f"}
+    left = {"README.txt": "The 2 scans.\n", "e.npy": "x", "f.png": "", "map.yaml": "image: f"}
     for name, text in (taken | left).items():
         (tmp_path / name).write_text(text)
     found = find_items(tmp_path, tmp_path, make_job("localize"))
