@@ -169,7 +169,8 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
                        "poor, or on another clock, or is the place of the sensor wrong, or "
                        "missing (`sensor=X,Y,YAW`)? " + _SCANS + " does without it", _SCANS),
     "disagree/along": _warns("scans fit this map one by one, but only {unique} of {count} have a "
-                             "unique pose along the odometry: is it wrong?", _SCANS),
+                             "unique pose along the odometry: is it wrong, or is the map bent or "
+                             "its resolution wrong?", "{options}"),
     "flipped": _wrong(AGREE + "with the scans mirrored: the sensor {hangs} upside down",
                       _UPSIDE_DOWN),
     "odometry-turn": _wrong(AGREE + "with theta of the odometry negated: left and right are "
@@ -195,13 +196,13 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "mirrored/map": _wrong("scans fit the map only if mirrored, but agree with the odometry as "
                            "they are: the image of the map is mirrored. Mirror it, left to right",
                            "", "the map is mirrored"),
-    "scale": _wrong("{fits} at one place if ranges are multiplied by {times:.4g}: {why} Try "
+    "scale": _wrong("{fits} if ranges are multiplied by {times:.4g}: {why} Try "
                     + _SCALED + ", or " + _CELLS, _SCALED,
                     "fits with ranges x {times:.4g}: {why}"),
-    "scale/map": _wrong("{fits} at one place if ranges are multiplied by {times:.4g}, but agree "
+    "scale/map": _wrong("{fits} if ranges are multiplied by {times:.4g}, but agree "
                         "with the odometry as they are: the cells of the map are of {cells:.4g} m. "
                         "Try " + _CELLS, _CELLS, "the map's resolution is {cells:.4g} m"),
-    "scale/ranges": _wrong("{fits} at one place, and agree with the odometry, if ranges are "
+    "scale/ranges": _wrong("{fits}, and agree with the odometry, if ranges are "
                            "multiplied by {times:.4g}: their unit is another one, or they are "
                            "too short or too long. Try " + _SCALED, _SCALED,
                            "fits with ranges x {times:.4g}"),

@@ -25,8 +25,9 @@ from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
-# nats per reading; where the best pose lacks less, several places fit as they are
-_FITS = number("diagnose.fits")
+# Nats per reading; where the best pose lacks less, several places fit as they are. By how much the
+# scales of scans differ that share one, and what it differs from 1 at least.
+_FITS, _ALIKE, _SLIP = number("diagnose.fits")
 # doubtful scans that are looked at in another way, and views that sensors have, radians
 _TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
@@ -99,7 +100,7 @@ def doubts(
     misfit = float(np.median([said[k][1].misfit for k in some]))
     trial = _Trial(
         features, scans.take(some), options, given, len(scans) == 1, misfit, log or scans,
-        _fitting(scans, some),
+        _fitting(scans, some), common_scale(said, options.shared.scale),
     )  # fmt: skip
     if found := trial.calibration(is_bent=bool(bent_)):
         return [found]
@@ -140,9 +141,27 @@ def misread(
     more = _FITS if 2 * len(moved) > len(said) else 0.0
     misfit = more + float(np.median([said[k][1].misfit for k in doubtful]))
     some, one, given = scans.take(doubtful), len(scans) == 1, given or Given()
-    fine = _fitting(scans, doubtful)
-    trial = _Trial(features, some, options, given, one, misfit, log or scans, fine)
+    fine, scale = _fitting(scans, doubtful), common_scale(said, known)
+    trial = _Trial(features, some, options, given, one, misfit, log or scans, fine, scale)
     return trial.mirrored() or trial.scale()
+
+
+def common_scale(said: Said, known: float) -> float | None:
+    """The factor on the ranges that most of some scans were found to have, each by itself.
+
+    On a map of another place each has another one. `known` is stated; None for no common factor.
+
+    Examples
+    --------
+    >>> said = [("no-match", Evidence(scale=scale)) for scale in (1.057, 1.06, 1.062, 1.0, 0.95)]
+    >>> common_scale(said, 1.0), common_scale(said[1:], 1.0)
+    (1.0585, None)
+    """
+    moved = [evidence.scale / known for _, evidence in said if evidence.scale != known]
+    middle = float(np.median(moved or [1.0]))
+    alike = sum(abs(scale - middle) <= _ALIKE for scale in moved)
+    most = alike >= _TRIED and 2 * alike > len(said)
+    return middle if most and abs(middle - 1) > _SLIP else None
 
 
 def _fitting(scans: ScanSet, doubtful: Sequence[int]) -> list[str]:
@@ -165,6 +184,7 @@ class _Trial:
     misfit: float  #: median of the scans as they were located, nats per reading
     log: ScanSet  #: the scans that they are from
     fitting: Sequence[str]  #: those of several lasers of which most scans fit as they are
+    common: float | None  #: the factor on their ranges that most scans were found to have
 
     @property
     def tried(self) -> list[int]:
@@ -299,6 +319,36 @@ class _Trial:
 
     def scale(self) -> Cause | None:
         """The scans fit in other units, or the map has another resolution."""
+        times, tried = self._other_scale(), True
+        if times == 1 and self.common is not None:
+            times, tried = self._refined(self.common), False
+        if times == 1:
+            return None
+        cells = self.features.grid.resolution / times
+        nice = round(cells, 2)
+        cells = nice if math.isclose(nice, cells, rel_tol=0.02) else cells
+        better = scaled_better(self.log, times)
+        key = {None: "scale", True: "scale/ranges", False: "scale/map"}[better]
+        unit = next((name for name, value in UNITS.items() if value == times), None)
+        why = f"are they {unit}?" if unit else "is the map's resolution right?"
+        fits = f"{self.fits} at one place" if tried else "most scans fit best"
+        fits, asked = self.asked + fits, times * self.given.range_scale
+        return cause(key, fits=fits, times=times, why=why, factor=asked, cells=cells)
+
+    def _refined(self, times: float) -> float:
+        """A factor on the ranges that is found again from where it was: one search ends near."""
+        known = self.options.shared
+        for _ in range(2):
+            shared = replace(known, scale=float(np.clip(times * known.scale, *SCALES)))
+            answers = [
+                localize(self.features, self.scans[k], replace(self.options, shared=shared))
+                for k in self.tried
+            ]
+            times = float(np.median([a.evidence.scale for a in answers])) / known.scale
+        return times
+
+    def _other_scale(self) -> float:
+        """The factor on the ranges with which a few of the scans are unique; 1 if none is."""
         (near, far), shared = _FACTORS, self.options.shared
         times, least = 1.0, self.misfit - _FITS
         for factor in (*near, *far):
@@ -311,17 +361,7 @@ class _Trial:
             if lacks <= least:
                 scales = [answer.evidence.scale / shared.scale for answer in found]
                 times, least = float(np.median(scales)) if known else factor, lacks
-        if times == 1:
-            return None
-        cells = self.features.grid.resolution / times
-        nice = round(cells, 2)
-        cells = nice if math.isclose(nice, cells, rel_tol=0.02) else cells
-        better = scaled_better(self.log, times)
-        key = {None: "scale", True: "scale/ranges", False: "scale/map"}[better]
-        unit = next((name for name, value in UNITS.items() if value == times), None)
-        why = f"are they {unit}?" if unit else "is the map's resolution right?"
-        fits, asked = self.asked + self.fits, times * self.given.range_scale
-        return cause(key, fits=fits, times=times, why=why, factor=asked, cells=cells)
+        return times
 
     def elsewhere(self) -> Cause:
         """Nothing helps: an old map if the scans agree about where they are, else another one."""

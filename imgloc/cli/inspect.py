@@ -205,6 +205,7 @@ def _followed(
 
     from imgloc.answers.causes import cause
     from imgloc.answers.logcheck import FOLLOWED
+    from imgloc.answers.scanmotion import AGREES
     from imgloc.cli.inputs import aged_along
     from imgloc.filters.follow import Tracking, follow
     from imgloc.filters.motion import increments
@@ -229,7 +230,9 @@ def _followed(
     passed = aged_along(features.grid, some, moments, robot.options.shared)
     serves, fits = 2 * unique >= len(moments), 2 * placed["unique"] > sum(placed.values())
     if passed is None and fits and not serves and not doubted:
-        passed = cause("disagree/along", unique=unique, count=len(moments))
+        agreed = (report.facts["agreement"] or 0.0) >= AGREES  # so the odometry may be right
+        tried = "" if agreed else "`odom=scans`"
+        passed = cause("disagree/along", unique=unique, count=len(moments), options=tried)
     settled = passed is not None or unique >= FOLLOWED * len(moments)
     rest = [
         replace(found, options="") if serves and found.code == "disagree" else found
