@@ -98,10 +98,9 @@ def doubts(
         return []
     some = range(len(scans)) if fit else doubtful
     misfit = float(np.median([said[k][1].misfit for k in some]))
-    trial = _Trial(
-        features, scans.take(some), options, given, len(scans) == 1, misfit, log or scans,
-        _fitting(scans, some), common_scale(said, options.shared.scale),
-    )  # fmt: skip
+    own, one = scans.take(some), len(scans) == 1
+    trial = _Trial(features, own, options, given, one, misfit, log or scans,
+                   _fitting(scans, some), common_scale(said, options.shared.scale))  # fmt: skip
     if found := trial.calibration(is_bent=bool(bent_)):
         return [found]
     if fit:
@@ -140,9 +139,9 @@ def misread(
     # Scans that were moved to another scale show that theirs is wrong: which is right is left.
     more = _FITS if 2 * len(moved) > len(said) else 0.0
     misfit = more + float(np.median([said[k][1].misfit for k in doubtful]))
-    some, one, given = scans.take(doubtful), len(scans) == 1, given or Given()
-    fine, scale = _fitting(scans, doubtful), common_scale(said, known)
-    trial = _Trial(features, some, options, given, one, misfit, log or scans, fine, scale)
+    some, given = scans.take(doubtful), given or Given()
+    trial = _Trial(features, some, options, given, len(scans) == 1, misfit, log or scans,
+                   _fitting(scans, doubtful), common_scale(said, known))  # fmt: skip
     return trial.mirrored() or trial.scale()
 
 
@@ -319,11 +318,10 @@ class _Trial:
 
     def scale(self) -> Cause | None:
         """The scans fit in other units, or the map has another resolution."""
-        times, tried = self._other_scale(), True
-        if times == 1 and self.common is not None:
-            times, tried = self._refined(self.common), False
-        if times == 1:
+        tried = (times := self._other_scale()) != 1
+        if not tried and self.common is None:
             return None
+        times = times if tried else self._refined(self.common or 1.0)
         cells = self.features.grid.resolution / times
         nice = round(cells, 2)
         cells = nice if math.isclose(nice, cells, rel_tol=0.02) else cells
@@ -340,10 +338,8 @@ class _Trial:
         known = self.options.shared
         for _ in range(2):
             shared = replace(known, scale=float(np.clip(times * known.scale, *SCALES)))
-            answers = [
-                localize(self.features, self.scans[k], replace(self.options, shared=shared))
-                for k in self.tried
-            ]
+            options = replace(self.options, shared=shared)
+            answers = [localize(self.features, self.scans[k], options) for k in self.tried]
             times = float(np.median([a.evidence.scale for a in answers])) / known.scale
         return times
 

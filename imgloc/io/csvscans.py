@@ -122,12 +122,12 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     if _is_echo(body[0][1]):
         return table.echoed()
     first, names = body[0][1], cells_of(comment)
-    numeric = [cell for cell in first if cell and _is_number(cell)]
+    numeric = [cell for cell in first if cell and is_number(cell)]
     if not numeric or first[0].startswith("%"):
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
     elif (head := _head(name, body, settings, fov)) is not None:
         names = head
-    elif len(names) != len(first) or any(map(_is_number, names)):
+    elif len(names) != len(first) or any(map(is_number, names)):
         names = []
     return table.read(names, fov)
 
@@ -475,7 +475,7 @@ class _Table:
 
 def _is_echo(cells: Sequence[str]) -> bool:
     """Return whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
-    numbers = [bool(cell) and _is_number(cell) for cell in cells[: _ECHO + 1]]
+    numbers = [bool(cell) and is_number(cell) for cell in cells[: _ECHO + 1]]
     return len(cells) > _ECHO and numbers == [True] * 2 + [False] + [True] * (_ECHO - 2)
 
 
@@ -524,7 +524,7 @@ def _head(
         said = f"{name}: the first line counts up to {first[-1]}: {text}"
         _LOG.warning("%s", said, extra={"code": "degrees"})
     lead = len(first) - len(angles)
-    names = ["t" if _is_number(cell) else cell.lower() for cell in body.pop(0)[1][:lead]]
+    names = ["t" if is_number(cell) else cell.lower() for cell in body.pop(0)[1][:lead]]
     settings["angles"] = angles
     return [*names, *(f"ranges{k}" for k in range(len(angles)))]
 
@@ -532,8 +532,8 @@ def _head(
 def _angle_row(body: Sequence[Row], settings: Mapping[str, Any]) -> FloatArray | None:
     """The angles in the first of several lines, radians, after at most three other cells."""
     cells = body[0][1]
-    lead = next((k for k, cell in enumerate(cells) if cell and _is_number(cell)), 0)
-    if len(body) < 2 or lead > 3 or not all(c and _is_number(c) for c in cells[lead:]):
+    lead = next((k for k, cell in enumerate(cells) if cell and is_number(cell)), 0)
+    if len(body) < 2 or lead > 3 or not all(c and is_number(c) for c in cells[lead:]):
         return None
     row = np.array([float(cell) for cell in cells[lead:]])
     angles = _even_angles(row, settings)
@@ -591,7 +591,8 @@ def _check_alike(columns: Sequence[str], name: str) -> None:
         raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected} besides")
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell of a table may be a number: nothing is one that is not known."""
     with contextlib.suppress(ValueError):
         float(cell)
         return True

@@ -32,7 +32,7 @@ from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.io.bags import NO_CLOUDS, bag_size, choose_topic, read_bag
 from imgloc.io.carmen import placed, read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
-from imgloc.io.csvscans import read_csv
+from imgloc.io.csvscans import is_number, read_csv
 from imgloc.io.echo import read_echo
 from imgloc.io.files import (
     PathLike,
@@ -354,17 +354,10 @@ def why_no_scans(path: PathLike) -> str:
         return str(error).removeprefix(f"{display(path)}: ").partition(", expected")[0]
     if kind is _ECHO:
         return "" if b"ranges:" in head else "no scans of ros2 topic echo"
-    lines = (line.strip() for line in head.splitlines() if line[:1] != b"#")
-    words = [re.split(rb"[\s,;]+", line) for line in lines]
-    tables = sum(2 * sum(map(_is_number, line)) >= len(line) for line in words)
+    lines = map(str.strip, head.decode(errors="replace").splitlines())
+    words = [re.split(r"[\s,;|]+", line) for line in lines if line and line[0] != "#"]
+    tables = sum(2 * sum(map(is_number, line)) >= len(line) for line in words)
     return "" if kind is not _CSV or 2 * tables >= max(len(words), 1) else "no table of numbers"
-
-
-def _is_number(word: bytes) -> bool:
-    with contextlib.suppress(ValueError):
-        float(word)
-        return True
-    return False
 
 
 def _refuse_spoken(path: PathLike) -> None:
