@@ -319,9 +319,10 @@ class _Trial:
     def scale(self) -> Cause | None:
         """The scans fit in other units, or the map has another resolution."""
         tried = (times := self._other_scale()) != 1
-        if not tried and self.common is None:
+        if not tried and self.common is not None:
+            times = self._refined(self.common)
+        if times == 1:
             return None
-        times = times if tried else self._refined(self.common or 1.0)
         cells = self.features.grid.resolution / times
         nice = round(cells, 2)
         cells = nice if math.isclose(nice, cells, rel_tol=0.02) else cells
@@ -334,14 +335,18 @@ class _Trial:
         return cause(key, fits=fits, times=times, why=why, factor=asked, cells=cells)
 
     def _refined(self, times: float) -> float:
-        """A factor on the ranges that is found again from where it was: one search ends near."""
-        known = self.options.shared
+        """A factor on the ranges that is found again from where it was: one search ends near.
+
+        It is 1 if most scans fit nowhere with it: on a map of another place many end at a bound.
+        """
+        known, fit = self.options.shared, 0
         for _ in range(2):
             shared = replace(known, scale=float(np.clip(times * known.scale, *SCALES)))
             options = replace(self.options, shared=shared)
             answers = [localize(self.features, self.scans[k], options) for k in self.tried]
             times = float(np.median([a.evidence.scale for a in answers])) / known.scale
-        return times
+            fit = sum(answer.verdict in SURE for answer in answers)
+        return times if 2 * fit > len(self.tried) else 1.0
 
     def _other_scale(self) -> float:
         """The factor on the ranges with which a few of the scans are unique; 1 if none is."""

@@ -265,6 +265,15 @@ def test_the_map_tells_a_mirrored_image(shared: Path, tmp_path: Path, name: str)
     assert found == ["mirrored"]
 
 
+def test_a_scale_that_scans_share_is_the_map_s_where_they_fit_with_it(shared: Path) -> None:
+    data = shared / "data"
+    own = data / "jarvis_inesc" / "map.yaml", data / "jarvis_inesc" / "complex.npz"
+    run = call("inspect", *own, "--resolution", 0.0106)
+    assert "the cells of the map are of 0.01 m. Try --resolution 0.01\n" in run.out
+    foreign = data / "guardian_crob" / "lab_slam.yaml", data / "wean" / "scans.npz"
+    assert "multiplied by" not in call("inspect", *foreign).out
+
+
 def test_a_map_that_explains_two_lasers_of_three_is_not_mirrored(shared, tmp_path) -> None:
     scans, place = recorded(shared, "fr079"), shared / "data" / "fr079" / "map.yaml"
     named = [replace(scan, laser="abc"[k % 3]) for k, scan in enumerate(scans.scans)]
