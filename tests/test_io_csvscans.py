@@ -189,6 +189,19 @@ def test_a_count_is_no_range(tmp_path: Path) -> None:
         loaded(tmp_path, f"# angle_min=-1, angle_max=1\n{text}")
 
 
+def test_columns_of_two_names_are_not_all_ranges(tmp_path: Path) -> None:
+    names = [f"{word}{k}" for k in range(RAYS) for word in "ri"]
+    text = table(names, [[v for r in row for v in (r, 47)] for row in RANGES])
+    with pytest.raises(ScanError, match="columns i0, i1, i2, i3, i4: the other columns are ranges"):
+        loaded(tmp_path, f"# angle_min=-1, angle_max=1\n{text}")
+
+
+def test_a_table_of_windows_has_its_degrees(tmp_path: Path) -> None:
+    rows = [[round(math.degrees(a), 6), r] for a, r in zip(ANGLES, RANGES[0], strict=True)]
+    (tmp_path / "a.csv").write_text(table(["Winkel [°]", "Abstand [m]"], rows, ";"), "cp1252")
+    np.testing.assert_allclose(load_scans(tmp_path / "a.csv")[0].angles, ANGLES, atol=1e-6)
+
+
 def test_what_is_guessed_of_a_table_is_said(tmp_path: Path, caplog, monkeypatch) -> None:
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
     loaded(tmp_path, exported("time first"))

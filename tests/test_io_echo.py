@@ -104,6 +104,7 @@ def test_what_others_convert_is_said_with_how(tmp_path: Path) -> None:
     for name, hint in (
         ("a.npy", r"np\.savez"), ("a.pcap", "record a bag"), ("a.bag.active", "rosbag reindex"),
         ("a.rawlog.gz", "rawlog-edit"), ("a.mat", "loadmat"),
+        ("a.parquet", "read_parquet"), ("a.h5", "h5py"),
     ):  # fmt: skip
         (tmp_path / name).write_bytes(b"1")
         with pytest.raises(ScanError, match=f"{name}: cannot be read: .*{hint}"):

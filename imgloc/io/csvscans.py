@@ -100,7 +100,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     is a last one that was cut off.
     """
     name, settings, comment, units = display(path), dict[str, Any](), "", ["", ""]
-    lines, body = lines_of(path), list[Row]()
+    lines, body = lines_of(path, other="cp1252"), list[Row]()
     for line, text in lines.numbered:
         where = f"{name}: line {line}"
         if text.startswith("#"):
@@ -578,14 +578,14 @@ def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
 
 
 def _check_alike(columns: Sequence[str], name: str) -> None:
-    """ScanError if most columns have one name and a number, such as r0, and others do not.
+    """ScanError if half of the columns have one name and a number, such as r0, and others do not.
 
     Else a time or a heading would be a range, and all rays after it would have a wrong angle.
     """
     stems = [re.sub(r"[-+.\d]+", "", column) for column in columns]
     usual, count = max(Counter(stems).items(), key=lambda item: item[1], default=("", 0))
     others = [column for column, stem in zip(columns, stems, strict=True) if stem != usual]
-    if count > len(others) > 0:
+    if count > 1 and count >= len(others) > 0:
         like = columns[stems.index(usual)]
         expected = f"the other columns are ranges such as {like}; expected {', '.join(_BESIDE)}"
         raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected} besides")

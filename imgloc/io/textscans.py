@@ -238,9 +238,9 @@ class Lines(NamedTuple):
     cut: int  # number of the last line if that does not end, else 0
 
 
-def lines_of(path: PathLike, most: int = MAX_LINE) -> Lines:
-    """The lines of a file of text, each of at most so many characters."""
-    text = read_text(path)
+def lines_of(path: PathLike, most: int = MAX_LINE, *, other: str = "") -> Lines:
+    """The lines of a file of text, each of at most so many characters; see :func:`read_text`."""
+    text = read_text(path, other=other)
     text = text if "\n" in text else text.replace("\r", "\n")
     numbered = check_lines(text.split("\n"), display(path), most)
     return Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
