@@ -191,6 +191,12 @@ class _Trial:
         seeing = [k for k, scan in enumerate(self.scans.scans) if scan.directions]
         return [seeing[k] for k in evenly(len(seeing), _TRIED).tolist()]
 
+    @property
+    def _others(self) -> "_Trial | None":
+        """The same with the scans that were not tried, if they are as many."""
+        rest = sorted({*range(len(self.scans))} - {*self.tried})
+        return replace(self, scans=self.scans.take(rest)) if len(rest) >= _TRIED else None
+
     def of(self, laser: str) -> "_Trial":
         """The same with the scans of one laser."""
         scans = self.scans
@@ -358,6 +364,8 @@ class _Trial:
             scaled, scale = partial(LaserScan.scaled, factor=factor), factor * shared.scale
             known = replace(shared, scale=np.clip(scale, *SCALES)) if factor in near else None
             found = self.unique(None if known else scaled, shared=known, most=True)
+            if found and factor in far and self._others is not None:  # of many factors one may fit
+                found = found if self._others.unique(scaled, most=True) else []
             lacks = float(np.median([answer.evidence.misfit for answer in found] or [np.inf]))
             if lacks <= least:
                 scales = [answer.evidence.scale / shared.scale for answer in found]
