@@ -264,7 +264,7 @@ def _scan_faults() -> dict[str, tuple[bytes, str]]:
         "no_angles.csv": (b"1,2,3\n", "angles: missing"),
         "no_lines.csv": (head, "no scan"),
         "half_pose.csv": (head + b"x,y,r0,r1\n1,2,3,4\n", "columns x, y"),
-        "latin1.csv": (head + b"# caf\xe9\n1,2\n", "UTF-8"),
+        "bytes.csv": (head + b"# caf\x81\n1,2\n", "UTF-8"),
         "bad_json.jsonl": (jsonl("{'ranges': [1]}", entry), "line 1: not valid JSON"),
         "deep.jsonl": (b"[" * 200_000, "not valid JSON"),
         "list.jsonl": (jsonl([1, 2]), "line 1: got list"),

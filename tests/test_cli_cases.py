@@ -33,6 +33,16 @@ def test_the_image_of_another_machine_lies_beside(image: str, tmp_path: Path) ->
     assert "lies beside" not in call("map", "check", tmp_path / "a.yaml").err
 
 
+def test_a_yaml_of_windows_is_read_or_told_what_to_write(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    shutil.copy(MAPS / "curved.png", tmp_path / "maps" / "a.png")
+    text = "image: {}\nresolution: 0.1\norigin: [0, 0, 0]\n"
+    (tmp_path / "a.yaml").write_text(text.format("maps/a.png"), "utf-16")
+    call("map", "check", tmp_path / "a.yaml").ends(0)
+    (tmp_path / "a.yaml").write_text(text.format("maps\\a.png"))
+    call("map", "check", tmp_path / "a.yaml").ends(3, "write 'image: maps/a.png'")
+
+
 @pytest.mark.parametrize(("name", "hint"), [
     ("a.pbstream", "cartographer_pbstream_to_ros_map"), ("a.posegraph", "map_saver_cli"),
     ("a.pdf", "imgloc map plan"), ("a.dxf", "imgloc map plan"), ("a.bt", "octomap_server"),

@@ -1,23 +1,24 @@
 """Options are declared once: help, values, ranges, JSON and the library have the same."""
 
+import ast
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
 import typer
-from command import MAPS, ROOT, call
+from command import MAPS, ROOT, call, parsed
 
 from imgloc.cli import app
 from imgloc.cli.app import program
-from imgloc.cli.command import Only, Without, command, value_of
-from imgloc.errors import ConfigError
+from imgloc.cli.command import GONE, Only, Without, command, value_of
+from imgloc.errors import _ARGUMENT, ConfigError, as_options
 from imgloc.options import ALL_METHODS, Known, Options, Reading, Sensor
 from imgloc.ranges import declared
 
@@ -157,6 +158,41 @@ def test_errors_of_the_library_name_the_option() -> None:
     assert (run.code, "--tolerance: got 400 degrees" in run.err) == (2, True)
     run = call("localize", "curved", "s.npz", "--sensor", "9,0,0")
     assert (run.code, "--sensor: got 9,0: 9 m from the robot's base" in run.err) == (2, True)
+
+
+ROOMS = ("io", "robot", "answers", "choice")  # whose messages any command may print
+OWN = {"--force", "--start", "--explain", "--cache"}  # said of what was given, or of its own
+
+
+def said_by(rooms: Iterable[str]) -> set[str]:
+    """The options that messages of some rooms name, as the command line has them."""
+    nodes = [n for room in rooms for path in (ROOT / "imgloc" / room).glob("*.py")
+             for n in ast.walk(parsed(path))]  # fmt: skip
+    docs = {node.value for node in nodes if isinstance(node, ast.Expr)}
+    texts = {n.value for n in nodes if isinstance(n, ast.Constant) and n not in docs}
+    found = (a[0] for text in texts if isinstance(text, str) for a in _ARGUMENT.finditer(text))
+    return {as_options(argument).split()[0].replace("--no-", "--") for argument in found}
+
+
+def test_what_a_hint_names_the_command_has_or_it_says_what_to_do_instead() -> None:
+    ways = {f"--{name}" for name in GONE}
+    every = {flag for one in COMMANDS.values() for flag in flags(one)}
+    named = (said_by(ROOMS) & every) - OWN
+    assert {"--topic", "--fov-deg", "--odom", "--negate", "--resolution"} <= named
+    for words, one in COMMANDS.items():
+        files = [p for p in one.params if p.param_type_name == "argument"]
+        if any("Folder" not in (p.help or "") for p in files):
+            of_maps = {"--resolution"} if words == "convert" else set()
+            assert sorted(named - {*flags(one)} - ways - of_maps) == [], words
+
+
+def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("1,2,3,4,5,6,7,8,9,10,11,12\n")
+    said = "or --fov-deg; this command has no --fov-deg: imgloc convert LOG scans.npz with it"
+    assert said in call("batch", "curved", tmp_path / "a.csv", "--out", tmp_path / "out").out
+    run = call("localize", "curved", tmp_path / "a.csv")
+    assert "or --fov-deg" in run.err
+    assert "this command has no" not in run.err
 
 
 def test_all_methods_are_measured_by_name() -> None:

@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,9 @@ FIELDS = {
     "angle_min": ANGLES[0], "angle_max": ANGLES[-1], "angle_increment": STEP,
     "time_increment": 0.0, "scan_time": 0.1, "range_min": 0.05, "range_max": 12.0,
 }  # fmt: skip
+
+
+BETWEEN = {"blanks": "  ", "tabs": "\t", "bars": "|", "ends of lines of a Macintosh": ","}
 
 
 def table(head: list[str], rows: list[list[object]], mark: str = ",") -> str:
@@ -64,6 +68,16 @@ def exported(kind: str) -> str:
         rows = [[t, *[""] * 4, *values, t, *RANGES[k]] for k, t in enumerate(STAMPS)]
         other = [[t + 0.01, 5.5, 2.5, 0.6, 0.8, *[""] * len(names)] for t in STAMPS]
         return table(head, [row for pair in zip(rows, other, strict=True) for row in pair])
+    if kind == "foxglove":
+        head = ["timestamp.sec", "timestamp.nsec", "frame_id", "start_angle", "end_angle"]
+        stamps = [[t // 10**9, t % 10**9, "laser", ANGLES[0], ANGLES[-1]] for t in ns]
+        return table(
+            [*head, *(f"ranges[{k}]" for k in n)], [[*stamps[k], *RANGES[k]] for k in range(N)]
+        )
+    if kind == "dates":
+        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+        dates = [datetime.fromtimestamp(t, timezone.utc).isoformat() for t in STAMPS]
+        return said + table([], [[dates[k], *RANGES[k]] for k in range(N)])
     if kind == "pandas":
         head = ["", "timestamp_ms", *(f"range_{k}" for k in n)]
         said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}, range_max=12\n"
@@ -107,9 +121,10 @@ def exported(kind: str) -> str:
         return table(
             [], [[a, r] for scan in RANGES for a, r in zip(ANGLES, scan, strict=True)], "\t"
         )
-    if kind in ("blanks", "tabs"):
+    if kind in BETWEEN:
         said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
-        return said + table([], RANGES.tolist(), "  " if kind == "blanks" else "\t")
+        text = said + table([], RANGES.tolist(), BETWEEN[kind])
+        return text.replace("\n", "\r") if "ends" in kind else text
     if kind in ("time first", "time last"):
         said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
         rows = np.column_stack((STAMPS, RANGES) if kind == "time first" else (RANGES, STAMPS))
@@ -123,6 +138,7 @@ KINDS = [
     "rostopic -p", "rostopic -p of simulated time", "ros2 --csv", "ros2 --csv with intensities",
     "ros2 --csv without a frame", "lists in cells", "lists in cells, as tuples",
     "lists in cells, as arrays", "lists in cells, of NumPy", "bagpy", "plotjuggler", "pandas",
+    "foxglove", "dates", "bars", "ends of lines of a Macintosh",
     "angles first, time first", "angles first in degrees", "time last",
     "angles first, a number above the time",
     "angles down", "angles down by name", "a reading a line", "a reading a line by semicolons",
@@ -144,12 +160,46 @@ def test_a_table_of_somebody_is_read(tmp_path: Path, kind: str) -> None:
     np.testing.assert_allclose([scan.angles for scan in scans.scans], [ANGLES] * N, atol=1e-5)
     if kind == "plotjuggler":
         np.testing.assert_allclose(scans.odom[1], (5.5, 2.5, 2 * math.asin(0.6)))
-    if "down" in kind or "semicolons" in kind or "names" in kind or kind in ("blanks", "tabs"):
+    if "down" in kind or "semicolons" in kind or "names" in kind or kind in BETWEEN:
         assert scans.stamps is None
     else:
         assert scans.stamps is not None
         first = 2000.0 if "simulated" in kind else STAMPS[0]
         np.testing.assert_allclose(scans.stamps - first, STAMPS - STAMPS[0], atol=1e-3)
+
+
+def test_a_line_that_numbers_the_columns_is_no_scan(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
+    plain = table(list(range(RAYS)), RANGES.tolist())
+    index = table(["", *range(RAYS)], [[k, *RANGES[k]] for k in range(N)])
+    for text in (said + plain, said + index):
+        np.testing.assert_allclose([scan.ranges for scan in loaded(tmp_path, text).scans], RANGES)
+    (tmp_path / "a.csv").write_text(index)
+    np.testing.assert_allclose(load_scans(tmp_path / "a.csv", fov=np.pi)[0].angles, ANGLES)
+    assert "numbers the columns" not in caplog.text
+    assert loaded(tmp_path, plain)[0].angles[-1] == pytest.approx(math.radians(RAYS - 1))
+    assert "if it numbers the columns, pass `fov`" in caplog.text
+
+
+def test_a_count_is_no_range(tmp_path: Path) -> None:
+    ranges = np.resize(RANGES, (N, 60))
+    text = table([], [[60, ANGLES[0], STEP, *row] for row in ranges])
+    with pytest.raises(ScanError, match="column 1 is 60 in each line of 63 numbers"):
+        loaded(tmp_path, f"# angle_min=-1, angle_max=1\n{text}")
+
+
+def test_columns_of_two_names_are_not_all_ranges(tmp_path: Path) -> None:
+    names = [f"{word}{k}" for k in range(RAYS) for word in "ri"]
+    text = table(names, [[v for r in row for v in (r, 47)] for row in RANGES])
+    with pytest.raises(ScanError, match="columns i0, i1, i2, i3, i4: the other columns are ranges"):
+        loaded(tmp_path, f"# angle_min=-1, angle_max=1\n{text}")
+
+
+def test_a_table_of_windows_has_its_degrees(tmp_path: Path) -> None:
+    rows = [[round(math.degrees(a), 6), r] for a, r in zip(ANGLES, RANGES[0], strict=True)]
+    (tmp_path / "a.csv").write_text(table(["Winkel [°]", "Abstand [m]"], rows, ";"), "cp1252")
+    np.testing.assert_allclose(load_scans(tmp_path / "a.csv")[0].angles, ANGLES, atol=1e-6)
 
 
 def test_what_is_guessed_of_a_table_is_said(tmp_path: Path, caplog, monkeypatch) -> None:

@@ -104,25 +104,13 @@ def test_what_others_convert_is_said_with_how(tmp_path: Path) -> None:
     for name, hint in (
         ("a.npy", r"np\.savez"), ("a.pcap", "record a bag"), ("a.bag.active", "rosbag reindex"),
         ("a.rawlog.gz", "rawlog-edit"), ("a.mat", "loadmat"),
+        ("a.parquet", "read_parquet"), ("a.h5", "h5py"),
     ):  # fmt: skip
         (tmp_path / name).write_bytes(b"1")
         with pytest.raises(ScanError, match=f"{name}: cannot be read: .*{hint}"):
             load_scans(tmp_path / name)
     with pytest.raises(ScanError, match="is a folder, expected a file of scans"):
         load_scans(tmp_path)
-
-
-def test_csv_takes_two_bare_columns_and_a_field_of_view(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text("-0.5,1.0\n0.0,2.0\n0.5,inf\n")
-    (scan,) = load_scans(path).scans
-    assert scan.angles.tolist() == [-0.5, 0.0, 0.5]
-    assert scan.ranges.tolist() == [1.0, 2.0, math.inf]
-    path.write_text("1,2,3\n4,5,6\n")
-    with pytest.raises(ScanError, match="angles: missing"):
-        load_scans(path)
-    scans = load_scans(path, fov=math.pi)
-    np.testing.assert_allclose(scans[1].angles, [-math.pi / 2, 0, math.pi / 2])
 
 
 LOST = "A message was lost!!!\n\ttotal count change:2\n\ttotal count: 2---\n"

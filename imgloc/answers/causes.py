@@ -160,13 +160,17 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "two-lasers/odd": _wrong("of {laser} only {share:.0%} of the readings fall on an earlier scan, "
                              "as the odometry has it, but {better:.0%} if it {how}. Mend its place "
                              "on the robot, or leave it out", "`topic={others}`"),
+    "two-lasers/mirrored": _wrong("scans of {laser} fit the map only if mirrored, those of "
+                                  "{others} as they are: is {laser} upside down? Mend its place "
+                                  "on the robot, or leave it out", "`topic={others}`"),
     "two-lasers/apart": _warns("{count} lasers: this is {first}; `topic` picks one of {names}"),
     "disagree": _warns("only {share:.0%} of the readings fall on an earlier scan, as the odometry "
                        "has it ({usual:.0%} and more is usual): is it another robot's odometry, "
                        "poor, or on another clock, or is the place of the sensor wrong, or "
                        "missing (`sensor=X,Y,YAW`)? " + _SCANS + " does without it", _SCANS),
     "disagree/along": _warns("scans fit this map one by one, but only {unique} of {count} have a "
-                             "unique pose along the odometry: is it wrong?", _SCANS),
+                             "unique pose along the odometry: is it wrong, or is the map bent or "
+                             "its resolution wrong?", "{options}"),
     "flipped": _wrong(AGREE + "with the scans mirrored: the sensor {hangs} upside down",
                       _UPSIDE_DOWN),
     "odometry-turn": _wrong(AGREE + "with theta of the odometry negated: left and right are "
@@ -192,13 +196,13 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "mirrored/map": _wrong("scans fit the map only if mirrored, but agree with the odometry as "
                            "they are: the image of the map is mirrored. Mirror it, left to right",
                            "", "the map is mirrored"),
-    "scale": _wrong("{fits} at one place if ranges are multiplied by {times:.4g}: {why} Try "
+    "scale": _wrong("{fits} if ranges are multiplied by {times:.4g}: {why} Try "
                     + _SCALED + ", or " + _CELLS, _SCALED,
                     "fits with ranges x {times:.4g}: {why}"),
-    "scale/map": _wrong("{fits} at one place if ranges are multiplied by {times:.4g}, but agree "
+    "scale/map": _wrong("{fits} if ranges are multiplied by {times:.4g}, but agree "
                         "with the odometry as they are: the cells of the map are of {cells:.4g} m. "
                         "Try " + _CELLS, _CELLS, "the map's resolution is {cells:.4g} m"),
-    "scale/ranges": _wrong("{fits} at one place, and agree with the odometry, if ranges are "
+    "scale/ranges": _wrong("{fits}, and agree with the odometry, if ranges are "
                            "multiplied by {times:.4g}: their unit is another one, or they are "
                            "too short or too long. Try " + _SCALED, _SCALED,
                            "fits with ranges x {times:.4g}"),

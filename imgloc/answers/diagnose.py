@@ -25,8 +25,9 @@ from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
-# nats per reading; where the best pose lacks less, several places fit as they are
-_FITS = number("diagnose.fits")
+# Nats per reading; where the best pose lacks less, several places fit as they are. By how much the
+# scales of scans differ that share one, and what it differs from 1 at least.
+_FITS, _ALIKE, _SLIP = number("diagnose.fits")
 # doubtful scans that are looked at in another way, and views that sensors have, radians
 _TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
@@ -97,9 +98,9 @@ def doubts(
         return []
     some = range(len(scans)) if fit else doubtful
     misfit = float(np.median([said[k][1].misfit for k in some]))
-    trial = _Trial(
-        features, scans.take(some), options, given, len(scans) == 1, misfit, log or scans
-    )
+    own, one = scans.take(some), len(scans) == 1
+    trial = _Trial(features, own, options, given, one, misfit, log or scans,
+                   _fitting(scans, some), common_scale(said, options.shared.scale))  # fmt: skip
     if found := trial.calibration(is_bent=bool(bent_)):
         return [found]
     if fit:
@@ -138,9 +139,36 @@ def misread(
     # Scans that were moved to another scale show that theirs is wrong: which is right is left.
     more = _FITS if 2 * len(moved) > len(said) else 0.0
     misfit = more + float(np.median([said[k][1].misfit for k in doubtful]))
-    some, one, given = scans.take(doubtful), len(scans) == 1, given or Given()
-    trial = _Trial(features, some, options, given, one, misfit, log or scans)
+    some, given = scans.take(doubtful), given or Given()
+    trial = _Trial(features, some, options, given, len(scans) == 1, misfit, log or scans,
+                   _fitting(scans, doubtful), common_scale(said, known))  # fmt: skip
     return trial.mirrored() or trial.scale()
+
+
+def common_scale(said: Said, known: float) -> float | None:
+    """The factor on the ranges that most of some scans were found to have, each by itself.
+
+    On a map of another place each has another one. `known` is stated; None for no common factor.
+
+    Examples
+    --------
+    >>> said = [("no-match", Evidence(scale=scale)) for scale in (1.057, 1.06, 1.062, 1.0, 0.95)]
+    >>> common_scale(said, 1.0), common_scale(said[1:], 1.0)
+    (1.0585, None)
+    """
+    moved = [evidence.scale / known for _, evidence in said if evidence.scale != known]
+    middle = float(np.median(moved or [1.0]))
+    alike = sum(abs(scale - middle) <= _ALIKE for scale in moved)
+    most = alike >= _TRIED and 2 * alike > len(said)
+    return middle if most and abs(middle - 1) > _SLIP else None
+
+
+def _fitting(scans: ScanSet, doubtful: Sequence[int]) -> list[str]:
+    """The lasers of which most scans are not doubtful, if there are several."""
+    every = Counter(scan.laser for scan in scans.scans)
+    doubted = Counter(scans[k].laser for k in doubtful)
+    sure = [laser for laser in every if 2 * doubted[laser] < every[laser]]
+    return sure if len(every) > 1 else []
 
 
 @dataclass(frozen=True)
@@ -154,12 +182,26 @@ class _Trial:
     one: bool  #: whether there is only one scan
     misfit: float  #: median of the scans as they were located, nats per reading
     log: ScanSet  #: the scans that they are from
+    fitting: Sequence[str]  #: those of several lasers of which most scans fit as they are
+    common: float | None  #: the factor on their ranges that most scans were found to have
 
     @property
     def tried(self) -> list[int]:
         """Indices of a few of the scans."""
         seeing = [k for k, scan in enumerate(self.scans.scans) if scan.directions]
         return [seeing[k] for k in evenly(len(seeing), _TRIED).tolist()]
+
+    @property
+    def _others(self) -> "_Trial | None":
+        """The same with the scans that were not tried, if they are as many."""
+        rest = sorted({*range(len(self.scans))} - {*self.tried})
+        return replace(self, scans=self.scans.take(rest)) if len(rest) >= _TRIED else None
+
+    def of(self, laser: str) -> "_Trial":
+        """The same with the scans of one laser."""
+        scans = self.scans
+        own = [k for k, scan in enumerate(scans.scans) if scan.laser == laser]
+        return self if len(own) == len(scans) else replace(self, scans=scans.take(own))
 
     @property
     def fits(self) -> str:
@@ -265,8 +307,15 @@ class _Trial:
 
     def mirrored(self) -> Cause | None:
         """The scans fit if left and right are swapped."""
-        if not self.unique(lambda scan: scan.flipped, most=True):
+        fits = [
+            name for name in self.scans.lasers if name not in self.fitting
+            and self.of(name).unique(lambda scan: scan.flipped, most=True)
+        ]  # fmt: skip
+        if not fits:
             return None
+        if self.fitting:  # by these the map is not mirrored
+            others = ",".join(name for name in self.log.lasers if name not in fits)
+            return cause("two-lasers/mirrored", laser=", ".join(fits), others=others)
         agrees, odom = math.nan, self.log.odom
         if odom is not None and np.isfinite(odom).all():
             agrees = agreement(self.log, odom).share
@@ -275,18 +324,9 @@ class _Trial:
 
     def scale(self) -> Cause | None:
         """The scans fit in other units, or the map has another resolution."""
-        (near, far), shared = _FACTORS, self.options.shared
-        times, least = 1.0, self.misfit - _FITS
-        for factor in (*near, *far):
-            if times != 1 and factor in far:
-                break
-            scaled, scale = partial(LaserScan.scaled, factor=factor), factor * shared.scale
-            known = replace(shared, scale=np.clip(scale, *SCALES)) if factor in near else None
-            found = self.unique(None if known else scaled, shared=known, most=True)
-            lacks = float(np.median([answer.evidence.misfit for answer in found] or [np.inf]))
-            if lacks <= least:
-                scales = [answer.evidence.scale / shared.scale for answer in found]
-                times, least = float(np.median(scales)) if known else factor, lacks
+        tried = (times := self._other_scale()) != 1
+        if not tried and self.common is not None:
+            times = self._refined(self.common)
         if times == 1:
             return None
         cells = self.features.grid.resolution / times
@@ -296,8 +336,41 @@ class _Trial:
         key = {None: "scale", True: "scale/ranges", False: "scale/map"}[better]
         unit = next((name for name, value in UNITS.items() if value == times), None)
         why = f"are they {unit}?" if unit else "is the map's resolution right?"
-        fits, asked = self.asked + self.fits, times * self.given.range_scale
+        fits = f"{self.fits} at one place" if tried else "most scans fit best"
+        fits, asked = self.asked + fits, times * self.given.range_scale
         return cause(key, fits=fits, times=times, why=why, factor=asked, cells=cells)
+
+    def _refined(self, times: float) -> float:
+        """A factor on the ranges that is found again from where it was: one search ends near.
+
+        It is 1 if most scans fit nowhere with it: on a map of another place many end at a bound.
+        """
+        known, fit = self.options.shared, 0
+        for _ in range(2):
+            shared = replace(known, scale=float(np.clip(times * known.scale, *SCALES)))
+            options = replace(self.options, shared=shared)
+            answers = [localize(self.features, self.scans[k], options) for k in self.tried]
+            times = float(np.median([a.evidence.scale for a in answers])) / known.scale
+            fit = sum(answer.verdict in SURE for answer in answers)
+        return times if 2 * fit > len(self.tried) else 1.0
+
+    def _other_scale(self) -> float:
+        """The factor on the ranges with which a few of the scans are unique; 1 if none is."""
+        (near, far), shared = _FACTORS, self.options.shared
+        times, least = 1.0, self.misfit - _FITS
+        for factor in (*near, *far):
+            if times != 1 and factor in far:
+                break
+            scaled, scale = partial(LaserScan.scaled, factor=factor), factor * shared.scale
+            known = replace(shared, scale=np.clip(scale, *SCALES)) if factor in near else None
+            found = self.unique(None if known else scaled, shared=known, most=True)
+            if found and factor in far and self._others is not None:  # of many factors one may fit
+                found = found if self._others.unique(scaled, most=True) else []
+            lacks = float(np.median([answer.evidence.misfit for answer in found] or [np.inf]))
+            if lacks <= least:
+                scales = [answer.evidence.scale / shared.scale for answer in found]
+                times, least = float(np.median(scales)) if known else factor, lacks
+        return times
 
     def elsewhere(self) -> Cause:
         """Nothing helps: an old map if the scans agree about where they are, else another one."""

@@ -153,16 +153,17 @@ def on_map(
     unsure = 2 * len(sure) < len(answers)
     facts["not_on_map"] = 1 - float(np.median(sure)) if sure else None
     said = [(answer.verdict, answer.evidence) for answer in answers]
-    if not _UNDONE & {f.code for f in findings if f.code != "units"}:
+    if not _undone(findings) - {"units"}:
         about = features, some, said, options, given, scans
         for found in (f for f in _causes(*about) if unsure or f.code != "bent"):
-            code = {"mirrored": "flipped", "units": "units"}.get(found.code, "map")
+            code = "map" if found.code not in _UNDONE else found.code
+            code = "flipped" if found.code == "mirrored" else code
             code = "mirrored" if found.code == "mirrored" and not found.options else code
             told = {"units"} | ({"disagree"} if found.code == "scale" else set())
             findings = [f for f in findings if f.code not in told]  # the map decides
             findings.append(replace(found, code=code, serious=code != "map" or not sure))
     facts["poses_fit"] = facts["odometry_fits"] = None
-    if not _UNDONE & {finding.code for finding in findings}:
+    if not _undone(findings):
         if scans.poses is not None:
             facts["poses_fit"] = poses_fit(features.grid, scans.scans, scans.poses)
             if facts["poses_fit"] is False and sure:
@@ -177,6 +178,11 @@ def on_map(
             besides = ", and the recorded poses do not fit it" * (facts["poses_fit"] is False)
             findings.append(cause("map/undecided", sure=len(sure) or "none", besides=besides))
     return replace(report, facts=facts, findings=tuple(_sorted(findings)))
+
+
+def _undone(findings: Sequence[Cause]) -> set[str]:
+    """Codes of what keeps scans from fitting any map; a further laser of the log does not."""
+    return _UNDONE & {finding.code for finding in findings if finding.serious}
 
 
 def _causes(*about: Any) -> list[Cause]:
@@ -431,17 +437,17 @@ def _about_motion(
     elif found.two_lasers:
         _add(findings, "two-lasers/moved")
     elif found.best is not None:
-        findings.append(_undone(found.best, scans, given))
+        findings.append(_mended(found.best, scans, given))
     elif found.share < (POOR if scans[0].T_base_laser else (POOR + AGREES) / 2):
         _add(findings, "disagree", share=found.share, usual=AGREES)
     return None if math.isnan(found.share) else found.share
 
 
-def _undone(way: Way, scans: ScanSet, given: Given | None) -> Cause:
+def _mended(way: Way, scans: ScanSet, given: Given | None) -> Cause:
     """The cause that makes scans and odometry agree when it is undone."""
     if way.then is not None:
-        one = _undone(replace(way, then=None), scans, given)
-        other = _undone(way.then, scans, given)
+        one = _mended(replace(way, then=None), scans, given)
+        other = _mended(way.then, scans, given)
         more = other.text.removeprefix(AGREE).replace("with the sensor", "the sensor is").strip()
         both = f"{one.options} {other.options}"
         advice = (given or Given()).advice(both.strip())

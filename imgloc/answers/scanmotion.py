@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, product
 
 import cv2
 import numpy as np
@@ -112,7 +112,7 @@ def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float, float, str]
     """The one of several lasers that disagrees with poses (N, 3) of the robot, if one does.
 
     Its name and share; the share if it is mended, and how. Another one agrees, and it would itself
-    upside down or turned: few scans agree by nature.
+    upside down, turned, or both: few scans agree by nature.
     """
     found, most = list[tuple[str, float, float, str]](), 0.0
     for name in scans.lasers:
@@ -125,11 +125,13 @@ def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float, float, str]
         most = max(most, here)
         if here < POOR:
             yaw = (own[0].T_base_laser or Pose2D(0.0, 0.0)).theta
-            ways = [(share(Way("", scan=lambda s: s.flipped)), "hangs upside down")]
-            for turn in np.arange(_STEP, math.tau, _STEP).tolist():
+            ways = list[tuple[float, str]]()
+            for turn, hangs in product(np.arange(0.0, math.tau, _STEP).tolist(), (False, True)):
                 right = math.degrees(Pose2D(0.0, 0.0, yaw + turn).theta)
-                turned = Way("", scan=partial(_turned, turn=turn))
-                ways.append((share(turned), f"has a yaw of {right:.0f} degrees"))
+                parts = ["hangs upside down"] * hangs
+                parts += [f"has a yaw of about {right:.0f} degrees"] * (turn > 0)
+                placed = Way("", scan=partial(_placed, turn=turn, hangs=hangs))
+                ways.append((share(placed), " and ".join(parts)))
             found.append((name, here, *max(ways)))
     odd = min(found, key=lambda one: one[1], default=None)
     return odd if odd is not None and min(odd[2], most) >= POOR else None
@@ -202,6 +204,10 @@ def _two(ways: Sequence[Way]) -> list[Way]:
 def _turned(scan: LaserScan, turn: float) -> LaserScan:
     mount = scan.T_base_laser or Pose2D(0.0, 0.0)
     return replace(scan, T_base_laser=Pose2D(mount.x, mount.y, mount.theta + turn))
+
+
+def _placed(scan: LaserScan, turn: float, hangs: bool) -> LaserScan:
+    return _turned(scan.flipped if hangs else scan, turn)
 
 
 def widened(scan: LaserScan, factor: float) -> LaserScan:

@@ -12,7 +12,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Given, Only, Without
-from imgloc.cli.console import emit, is_terminal, progress, say
+from imgloc.cli.console import LACKS, emit, instead, is_terminal, progress, say
 from imgloc.doors import JOBS
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
@@ -162,7 +162,9 @@ def batch(
         except KeyboardInterrupt:
             say(f"what is done is kept in {display(out)}; --resume goes on")
             raise
-    emit(to_json(summary.as_row()) if as_json else batch_text(summary, display(out)))
+    lines, lacks = batch_text(summary, display(out)).splitlines(), context.meta[LACKS]
+    text = "\n".join(instead(line, lacks) for line in lines)
+    emit(to_json(summary.as_row()) if as_json else text)
     if summary.failed:
         raise typer.Exit(FAILED_ROWS)
 

@@ -20,6 +20,7 @@ import typer
 from typer.core import TyperCommand
 
 from imgloc import ranges
+from imgloc.cli.console import LACKS
 from imgloc.cli.typed import as_typed
 from imgloc.errors import ConfigError
 from imgloc.ranges import Declared, OneOf, Option, declaration, declared, help_of
@@ -103,11 +104,12 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; an option of other commands is a ConfigError with a hint."""
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
+        lacking = {f"--{name}": hint for name, hint in GONE.items() if f"--{name}" not in own}
+        ctx.meta.setdefault(LACKS, {}).update(lacking)
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
-            name = old.removeprefix("--")
-            if old != name and name in GONE and old not in own:
-                raise ConfigError(f"{old}: is no option here; {GONE[name]}")
+            if old in lacking:
+                raise ConfigError(f"{old}: is no option here; {lacking[old]}")
             if old.lstrip("-") in ("output", "o") and old not in own:
                 also = ", and --picture FILE draws them" if "--picture" in own else ""
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"

@@ -13,7 +13,8 @@ import shlex
 import shutil
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import typer
@@ -26,6 +27,8 @@ LOG = logging.getLogger("imgloc")
 NOT_UNIQUE = 6  # exit code under --strict
 INTERRUPTED = 128 + 2  # as a shell reports a process that SIGINT ended
 PIPE_CLOSED = 128 + 13  # and SIGPIPE
+LACKS = "imgloc.lacks"
+"""Where a context has the options that its command lacks, and what to do instead."""
 
 
 _SECTIONS = {
@@ -79,7 +82,8 @@ class Group(Subgroup):
     def invoke(self, ctx: Any) -> Any:
         """Run a command; what it raises becomes one line and a typer.Exit with the exit code."""
         debug = ctx.params.get("debug", False)
-        configure(verbose=ctx.params.get("verbose", False))
+        lacks = ctx.meta.setdefault(LACKS, {})
+        configure(verbose=ctx.params.get("verbose", False), lacks=lacks)
         try:
             result = super().invoke(ctx)
             _flush()
@@ -94,7 +98,7 @@ class Group(Subgroup):
                 raise  # the last is a usage error, which Typer prints itself
             if debug:
                 print(printable(traceback.format_exc()), file=sys.stderr, flush=True)
-            message = " ".join(str(e).split())
+            message = instead(" ".join(str(e).split()), lacks)
             if isinstance(e, ImglocError):
                 say(f"error: {message}")
             elif isinstance(e, MemoryError):
@@ -106,17 +110,43 @@ class Group(Subgroup):
         return result
 
 
+def instead(message: str, lacks: Mapping[str, str]) -> str:
+    """A message, and what to do instead of an option in it that the command does not have.
+
+    Options of another command, which is named before them, are as they should be.
+
+    Examples
+    --------
+    >>> instead("pass `topic`, one of /a (6)", {"--topic": "imgloc convert has it"})
+    'pass --topic, one of /a (6); this command has no --topic: imgloc convert has it'
+    >>> instead("try imgloc calibrate MAP `force=True`", {"--force": "rm"})
+    'try imgloc calibrate MAP --force'
+    """
+    text = as_options(message)
+    own = re.findall(r"--[a-z-]+", re.sub(r"\bimgloc [a-z][^.,;:]*", "", text))
+    lacking = next((option for option in own if option in lacks), "")
+    if not lacking or lacks[lacking] in text:
+        return text
+    return f"{text}; this command has no {lacking}: {lacks[lacking]}"
+
+
 class _Lines(logging.Formatter):
     """Log records as lines that a terminal may have."""
 
+    lacks: Mapping[str, str] = MappingProxyType({})
+
     def format(self, record: logging.LogRecord) -> str:
-        return printable(as_options(super().format(record)))
+        return printable(instead(super().format(record), self.lacks))
 
 
-def configure(*, verbose: bool) -> None:
-    """Log to standard error: warnings, and each step if `verbose`."""
+def configure(*, verbose: bool, lacks: Mapping[str, str]) -> None:
+    """Log to standard error: warnings, and each step if `verbose`.
+
+    `lacks` are options that the command does not have, and what to do instead.
+    """
     handler = logging.StreamHandler()  # of this run's stderr
-    handler.setFormatter(_Lines("imgloc: %(message)s"))
+    handler.setFormatter(lines := _Lines("imgloc: %(message)s"))
+    lines.lacks = lacks
     said = set[str]()  # a map that is read twice has one word of warning
 
     def first(record: logging.LogRecord) -> bool:

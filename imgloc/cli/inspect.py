@@ -1,6 +1,5 @@
 """`imgloc inspect`: what is in a log or a map, before it is used."""
 
-import contextlib
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 from imgloc.cli import options as opt
 from imgloc.cli.command import Typed
 from imgloc.cli.console import LOG, emit
-from imgloc.errors import ConfigError, MapError, ScanError, as_options
+from imgloc.errors import ConfigError, ScanError, as_options
 from imgloc.io.files import display
 from imgloc.options import Logs, MemoryBudget, Mounting, Options
 from imgloc.ranges import declared, option
@@ -78,18 +77,11 @@ def _is_map(path: Path) -> bool:
     """True of a map: an image, a YAML that names one, or a bundled map by its name."""
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
     from imgloc.io.maps import YAML_ENDINGS
-    from imgloc.io.mapyaml import image_named
-    from imgloc.io.scans import SCAN_ENDINGS
-    from imgloc.io.text import unmarked
+    from imgloc.io.scans import SCAN_ENDINGS, why_no_scans
 
     ending = path.suffix.lower()
     if ending in YAML_ENDINGS:
-        with contextlib.suppress(MapError):
-            image_named(path)
-            return True
-        with contextlib.suppress(OSError), path.open("rb") as file:
-            return b"ranges:" not in unmarked(file.read(4096))  # as ros2 topic echo prints
-        return True
+        return bool(why_no_scans(path))
     if ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
         return True
     return ending not in SCAN_ENDINGS and opt.find_map(path) != path
@@ -213,6 +205,7 @@ def _followed(
 
     from imgloc.answers.causes import cause
     from imgloc.answers.logcheck import FOLLOWED
+    from imgloc.answers.scanmotion import AGREES
     from imgloc.cli.inputs import aged_along
     from imgloc.filters.follow import Tracking, follow
     from imgloc.filters.motion import increments
@@ -237,7 +230,9 @@ def _followed(
     passed = aged_along(features.grid, some, moments, robot.options.shared)
     serves, fits = 2 * unique >= len(moments), 2 * placed["unique"] > sum(placed.values())
     if passed is None and fits and not serves and not doubted:
-        passed = cause("disagree/along", unique=unique, count=len(moments))
+        agreed = (report.facts["agreement"] or 0.0) >= AGREES  # so the odometry may be right
+        tried = "" if agreed else "`odom=scans`"
+        passed = cause("disagree/along", unique=unique, count=len(moments), options=tried)
     settled = passed is not None or unique >= FOLLOWED * len(moments)
     rest = [
         replace(found, options="") if serves and found.code == "disagree" else found

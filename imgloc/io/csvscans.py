@@ -24,7 +24,7 @@ from imgloc.io.badlines import BadLines
 from imgloc.io.bags import Beside
 from imgloc.io.files import PathLike, display
 from imgloc.io.scanset import SPACING, Entry, ScanSet, collect, spread
-from imgloc.io.textscans import lines_of, number_of, setting_of
+from imgloc.io.textscans import NAMES, lines_of, number_of, setting_of
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
 from imgloc.robot.recording import Recording
@@ -52,11 +52,12 @@ _SAID = re.compile(
 # Finer units of angles, and how many are a degree; views of sensors are multiples of some degrees.
 _TIMES = {"tenths of a degree": 10, "hundredths of a degree": 100, "milliradians": 1000 * _DEGREE}
 _TURN, _VIEW, _OFF = 360, 30, 2  # degrees
+_ENDS = re.compile(r"\b(start|end)_angle$")
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
 _ROLES = (
     (re.compile(rf"(.*[./])?({'|'.join(_SETTINGS)})$"), ""),
-    (re.compile(r"(.*[./])?stamp[./]n(ano)?secs?$"), "nanoseconds"),
-    (re.compile(r"(.*[./])?stamp[./]secs?$"), "seconds"),
+    (re.compile(r"(.*[./])?(time)?stamp[./]n(ano)?secs?$"), "nanoseconds"),
+    (re.compile(r"(.*[./])?(time)?stamp[./]secs?$"), "seconds"),
     (re.compile(r"(.*[./])?stamp$"), "stamp"),
     (re.compile(r"(%|__)?(time|timestamp|t)$"), "time"),
     (re.compile(r"(.*[./])?(header[./_])?(seq|frame_id|scan_time)$|.*intensit.*|quality|"
@@ -79,8 +80,8 @@ Row = tuple[str, list[str]]  #: where a line stands, and its cells
 def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_BAD) -> ScanSet:
     """Read scans from a table: one scan a line, its ranges in the order of the angles.
 
-    Commas stand between the cells, or semicolons, tabs or blanks. Lines that begin with ``#`` give
-    what the numbers do not, in metres and radians::
+    Commas stand between the cells, or semicolons, tabs, bars or blanks. Lines that begin with ``#``
+    give what the numbers do not, in metres and radians::
 
         # angle_min=-1.5708, angle_max=1.5708, range_min=0.05, range_max=30
         2.31,2.30,nan,inf,1.02
@@ -99,7 +100,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     is a last one that was cut off.
     """
     name, settings, comment, units = display(path), dict[str, Any](), "", ["", ""]
-    lines, body = lines_of(path), list[Row]()
+    lines, body = lines_of(path, other="cp1252"), list[Row]()
     for line, text in lines.numbered:
         where = f"{name}: line {line}"
         if text.startswith("#"):
@@ -121,15 +122,12 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     if _is_echo(body[0][1]):
         return table.echoed()
     first, names = body[0][1], cells_of(comment)
-    numeric = [cell for cell in first if cell and _is_number(cell)]
+    numeric = [cell for cell in first if cell and is_number(cell)]
     if not numeric or first[0].startswith("%"):
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
-    elif (angles := _angle_row(body, settings)) is not None:
-        lead = len(first) - len(angles)
-        names = ["t" if _is_number(cell) else cell.lower() for cell in body.pop(0)[1][:lead]]
-        names += [f"ranges{k}" for k in range(len(angles))]
-        table.settings = {**settings, "angles": angles}
-    elif len(names) != len(first) or any(map(_is_number, names)):
+    elif (head := _head(name, body, settings, fov)) is not None:
+        names = head
+    elif len(names) != len(first) or any(map(is_number, names)):
         names = []
     return table.read(names, fov)
 
@@ -142,7 +140,7 @@ def cells_of(text: str) -> list[str]:
     >>> cells_of("1.5, ,x"), cells_of("1,5;2,5"), cells_of("1.5  2"), cells_of("1,5 2 inf")
     (['1.5', '', 'x'], ['1.5', '2.5'], ['1.5', '2'], ['1.5', '2', 'inf'])
     """
-    mark = next((m for m in (";", "\t") if m in text and f",{m}" not in text), None)
+    mark = next((m for m in (";", "\t", "|") if m in text and f",{m}" not in text), None)
     if mark or (" " in text and all(map(_NUMBER.fullmatch, text.split()))):
         return [re.sub(r"^([-+]?\d*),(\d+)", r"\1.\2", c.strip()) for c in text.split(mark)]
     if '"' in text:
@@ -193,7 +191,7 @@ def role_of(name: str) -> tuple[str, int, float]:
 
     It is ``ranges`` for a column of a scan a line, empty if the name is no hint.
     """
-    name = name.lower()
+    name = _ENDS.sub(lambda found: NAMES[found[0]], name.lower())
     if found := _RANGES.fullmatch(name):
         return "ranges", int(found[2]), 1.0
     if _POSE.fullmatch(name):
@@ -260,10 +258,7 @@ class _Table:
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
             by["time"], ranges = times[0], [i for i in ranges if i not in times]
             roles = [("time", 0, 1.0)] * len(self.rows[0][1])
-        if len(ranges) == 1 and len(self.rows) > 1:
-            found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
-            how = "its ranges with commas between, or two columns called angle and range"
-            raise ScanError(f"{self.name}: {found}, {how}")
+        self._refuse_counts(ranges, names)
         places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
         for key, wanted in _PLACES.items():
             if 0 < len(places[key]) < len(wanted):
@@ -414,6 +409,19 @@ class _Table:
             _LOG.warning("%s: %s", self.name, text, extra={"code": "time-column"})
         return [int(i) for i in np.array(ranges)[found]]
 
+    def _refuse_counts(self, ranges: Sequence[int], names: Sequence[str]) -> None:
+        """ScanError for one range a line, and for a first column that counts those that follow."""
+        if len(ranges) == 1 and len(self.rows) > 1:
+            found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
+            how = "its ranges with commas between, or two columns called angle and range"
+            raise ScanError(f"{self.name}: {found}, {how}")
+        count, *others = {float(row[ranges[0]]) for _, row in self.rows}
+        if names or others or count <= _MANY or not len(ranges) - _ECHO <= count < len(ranges):
+            return
+        found = f"{count:g} in each line of {len(ranges)} numbers, as if it counted readings"
+        expected = "a first line with the names of all columns, or the ranges alone"
+        raise ScanError(f"{self.name}: column {ranges[0] + 1} is {found}; expected {expected}")
+
     def _readings(
         self,
         by: Mapping[str, int],
@@ -467,7 +475,7 @@ class _Table:
 
 def _is_echo(cells: Sequence[str]) -> bool:
     """Return whether a line is a LaserScan as CSV: seconds, nanoseconds, a frame, numbers."""
-    numbers = [bool(cell) and _is_number(cell) for cell in cells[: _ECHO + 1]]
+    numbers = [bool(cell) and is_number(cell) for cell in cells[: _ECHO + 1]]
     return len(cells) > _ECHO and numbers == [True] * 2 + [False] + [True] * (_ECHO - 2)
 
 
@@ -500,15 +508,44 @@ def _stamp_of(
     return None if math.isnan(stamp) else float(stamp)
 
 
+def _head(
+    name: str, body: list[Row], settings: dict[str, Any], fov: float | None
+) -> list[str] | None:
+    """The names of the columns below a first line of numbers: angles, which are set, or counts."""
+    first = body[0][1]
+    lead, stated = _numbered(first), fov is not None or "angle_min" in settings
+    if lead >= 0 and (stated or len(first) > _TURN + 2):
+        body.pop(0)
+        return ["index"] * lead + [f"ranges{k}" for k in range(len(first) - lead)]
+    if (angles := _angle_row(body, settings)) is None:
+        return None
+    if lead >= 0:
+        text = "it is taken for angles in degrees; if it numbers the columns, pass `fov`"
+        said = f"{name}: the first line counts up to {first[-1]}: {text}"
+        _LOG.warning("%s", said, extra={"code": "degrees"})
+    lead = len(first) - len(angles)
+    names = ["t" if is_number(cell) else cell.lower() for cell in body.pop(0)[1][:lead]]
+    settings["angles"] = angles
+    return [*names, *(f"ranges{k}" for k in range(len(angles)))]
+
+
 def _angle_row(body: Sequence[Row], settings: Mapping[str, Any]) -> FloatArray | None:
     """The angles in the first of several lines, radians, after at most three other cells."""
     cells = body[0][1]
-    lead = next((k for k, cell in enumerate(cells) if cell and _is_number(cell)), 0)
-    if len(body) < 2 or lead > 3 or not all(c and _is_number(c) for c in cells[lead:]):
+    lead = next((k for k, cell in enumerate(cells) if cell and is_number(cell)), 0)
+    if len(body) < 2 or lead > 3 or not all(c and is_number(c) for c in cells[lead:]):
         return None
     row = np.array([float(cell) for cell in cells[lead:]])
     angles = _even_angles(row, settings)
     return angles if lead or angles is not None else _even_angles(row[1:], settings)
+
+
+def _numbered(cells: Sequence[str]) -> int:
+    """Count the cells before those that number the columns, as pandas does; -1 for none."""
+    lead = 0 if cells[0] else 1
+    count = len(cells) - lead
+    numbers = ([str(k) for k in range(begin, begin + count)] for begin in (0, 1))
+    return lead if count >= _EVEN and list(cells[lead:]) in numbers else -1
 
 
 def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | None:
@@ -541,20 +578,21 @@ def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
 
 
 def _check_alike(columns: Sequence[str], name: str) -> None:
-    """ScanError if most columns have one name and a number, such as r0, and others do not.
+    """ScanError if half of the columns have one name and a number, such as r0, and others do not.
 
     Else a time or a heading would be a range, and all rays after it would have a wrong angle.
     """
     stems = [re.sub(r"[-+.\d]+", "", column) for column in columns]
     usual, count = max(Counter(stems).items(), key=lambda item: item[1], default=("", 0))
     others = [column for column, stem in zip(columns, stems, strict=True) if stem != usual]
-    if count > len(others) > 0:
+    if count > 1 and count >= len(others) > 0:
         like = columns[stems.index(usual)]
         expected = f"the other columns are ranges such as {like}; expected {', '.join(_BESIDE)}"
         raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected} besides")
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell of a table may be a number: nothing is one that is not known."""
     with contextlib.suppress(ValueError):
         float(cell)
         return True

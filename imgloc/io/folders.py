@@ -9,6 +9,7 @@ from imgloc.io.files import PathLike, display, is_folder
 from imgloc.io.images import IMAGE_ENDINGS
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import image_named
+from imgloc.io.scans import why_no_scans
 
 
 def files_in(folder: PathLike, aside: PathLike | None = None) -> list[Path]:
@@ -41,7 +42,8 @@ def find_maps(
     """Files of the maps in a folder tree, in the order of their names; none is a ConfigError.
 
     They are map_server YAML files and, if `images` may be maps, images that none of these names.
-    Those in the folder `aside` are none, nor is the ``metadata.yaml`` of a recording beside it.
+    Those in the folder `aside` are none, nor is the ``metadata.yaml`` of a recording beside it, nor
+    what ``ros2 topic echo`` printed.
     """
     name = display(folder)
     if not is_folder(folder):
@@ -52,6 +54,7 @@ def find_maps(
     bags = {path.parent for path in files if path.suffix in (".db3", ".mcap")}
     yamls = [path for path in files if path.suffix.lower() in YAML_ENDINGS]
     yamls = [path for path in yamls if path.name != "metadata.yaml" or path.parent not in bags]
+    yamls = [path for path in yamls if why_no_scans(path)]
     bare = [path for path in files if path.suffix.lower() in IMAGE_ENDINGS]
     found = yamls
     if images:

@@ -439,6 +439,8 @@ def resolve_settings(path: PathLike, **reading: "Unpack[Reading]") -> MapSetting
             hint = neighbour_hint(file.parent / there) if said.image.parent != file.parent else ""
             if is_file(file.parent / there):
                 hint = f"; {display(there)} lies beside the YAML: write 'image: {display(there)}'"
+            if is_file(slashed := Path(str(said.image).replace("\\", "/"))):
+                hint = f"; write 'image: {display(os.path.relpath(slashed, file.parent))}'"
             if is_address(os.path.relpath(said.image, file.parent)):
                 hint += "" if hint else "; it is an address: download it first"
             raise MapError(f"{e}; {name} names it as its image{hint}") from None

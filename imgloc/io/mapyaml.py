@@ -11,6 +11,7 @@ from typing import Any
 from imgloc.errors import MapError
 from imgloc.io.files import PathLike, display, read_file
 from imgloc.io.plainyaml import plain_yaml
+from imgloc.io.text import decoded
 from imgloc.model import Pose2D
 
 MAX_YAML_BYTES = 65_536
@@ -134,7 +135,7 @@ def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYa
 
 def _plain_mapping(data: bytes, name: str) -> dict[Any, Any]:
     try:
-        text = data.decode("utf-8-sig")
+        text = decoded(data)
     except UnicodeDecodeError as e:
         raise MapError(f"{name}: byte {e.start} is not UTF-8 text; expected a map YAML") from None
     values = plain_yaml(text, name, MapError, most=_MOST)

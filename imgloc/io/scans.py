@@ -32,7 +32,7 @@ from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.io.bags import NO_CLOUDS, bag_size, choose_topic, read_bag
 from imgloc.io.carmen import placed, read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
-from imgloc.io.csvscans import read_csv
+from imgloc.io.csvscans import is_number, read_csv
 from imgloc.io.echo import read_echo
 from imgloc.io.files import (
     PathLike,
@@ -227,7 +227,7 @@ class _Kind(NamedTuple):
 
 
 _NPZ = _Kind("NPZ", read_npz, (), lambda path: _npz_size(path))
-_BETWEEN = partial(text_size, between=b",;\t ")
+_BETWEEN = partial(text_size, between=b",;\t| ")
 _CSV = _Kind("CSV", read_csv, ("fov", "max_bad"), _BETWEEN)
 _JSON = _Kind("JSON", read_jsonl, ("topic", "odom", "max_bad"), text_size)
 _ECHO = _Kind("echo of a topic", read_echo, ("max_bad",), partial(text_size, between=b"\n"))
@@ -236,7 +236,7 @@ _BAG = _Kind("bag", read_bag, ("topic", "height", "odom", "max_bad"), bag_size)
 _PCD = _Kind("PCD", read_pcd, ("height",), lambda path, **_: pcd_size(path))
 _TEXTS = _CSV, _JSON, _ECHO, _CARMEN  # which may be packed by gzip
 _KINDS = {
-    ".npz": _NPZ, ".csv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
+    ".npz": _NPZ, ".csv": _CSV, ".tsv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
     ".yaml": _ECHO, ".yml": _ECHO, ".log": _CARMEN, ".clf": _CARMEN, ".carmen": _CARMEN,
     ".bag": _BAG, ".db3": _BAG, ".mcap": _BAG, ".pcd": _PCD,
 }  # fmt: skip
@@ -256,11 +256,25 @@ _SPOKEN = (
      "write these as CSV"),
     (rb"(header|time|scan|frame) *:? *\{\s",
      "what gz topic prints; ros_gz_bridge makes a LaserScan of it, or gz topic prints JSON"),
+    (rb"\x02?s\w\w LMDscandata",
+     "telegrams of a SICK sensor; its ROS driver, sick_scan_xd, makes a LaserScan of each"),
+    (rb"\[timestamp\]\s*\d", "a log of UrgBenri: write the lines below [scan] as CSV, and pass "
+     "`fov` and `range_scale=0.001`"),
+    (rb"\[\s*\(\s*\d", "a list of Python's, as its rplidar prints: write a first line "
+     "angle_deg,distance_mm, and below it -angle,distance of each reading"),
 )  # fmt: skip
 """Texts that are no log of scans by how they begin, and what makes one of them."""
+_TO_JSON = (
+    "pandas.read_{}(FILE).to_json('scans.jsonl', orient='records', lines=True) makes JSON lines"
+)
 _CONVERTED = {
     ".npy": "an array without angles: np.savez('scans.npz', ranges=..., angles=..., range_max=...)",
     ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
+    ".parquet": _TO_JSON.format("parquet"),
+    ".feather": _TO_JSON.format("feather"),
+    ".pkl": "a pickle, which may run anything: np.savez('scans.npz', ranges=..., angles=...)",
+    ".h5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
+    ".hdf5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
     ".rawlog": "a log of MRPT: rawlog-edit exports its scans as text",
     ".simplemap": "a map of MRPT with its scans, not a log of them",
     ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
@@ -317,12 +331,33 @@ def _kind_of(path: PathLike) -> _Kind:
         head = opened.read(_HEAD)
     head = unmarked(head)
     _refuse_spoken(path)
-    if ending in ("", ".txt", ".dat", ".scan"):
+    if told := ending in ("", ".txt", ".dat", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):
                 return kind
-    found = f"ending {display(ending)!r} is no scan format" if ending else "no known scan format"
+    found = "no known scan format" if told else f"ending {display(ending)!r} is no scan format"
     raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)} or a table of numbers")
+
+
+def why_no_scans(path: PathLike) -> str:
+    """Why a file of a folder is not taken for one of scans; empty if it is.
+
+    Without an ending that decides, the first lines do: notes are no table of numbers.
+    """
+    if Path(path).suffix.lower() in SCAN_ENDINGS:
+        return ""
+    try:
+        kind = _kind_of(path)
+        with open_text(path) as (file, _):
+            head = unmarked(file.read(_HEAD))
+    except ScanError as error:
+        return str(error).removeprefix(f"{display(path)}: ").partition(", expected")[0]
+    if kind is _ECHO:
+        return "" if b"ranges:" in head else "no scans of ros2 topic echo"
+    lines = map(str.strip, head.decode(errors="replace").splitlines())
+    words = [re.split(r"[\s,;|]+", line) for line in lines if line and line[0] != "#"]
+    tables = sum(2 * sum(map(is_number, line)) >= len(line) for line in words)
+    return "" if kind is not _CSV or 2 * tables >= max(len(words), 1) else "no table of numbers"
 
 
 def _refuse_spoken(path: PathLike) -> None:

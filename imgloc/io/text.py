@@ -46,15 +46,18 @@ def read_bytes(path: PathLike) -> bytes:
     return data
 
 
-def read_text(path: PathLike, *, errors: str = "strict") -> str:
-    """Return the text of a file: UTF-8, or UTF-16 with a byte-order mark.
+def read_text(path: PathLike, *, errors: str = "strict", other: str = "") -> str:
+    """Return the text of a file: UTF-8, UTF-16 with a byte-order mark, or else in the `other` form.
 
-    ScanError for bytes that are neither, unless `errors` is "replace".
+    ScanError for bytes that are none of these, unless `errors` is "replace".
     """
     data = read_bytes(path)
     try:
         return decoded(data, errors)
     except UnicodeDecodeError as e:
+        with contextlib.suppress(UnicodeDecodeError, LookupError):
+            if b"\0" not in data:
+                return data.decode(other)
         raise ScanError(f"{display(path)}: byte {e.start} is not UTF-8 text") from None
 
 

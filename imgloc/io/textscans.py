@@ -28,10 +28,11 @@ MAX_LINE = 64 * MAX_RAYS
 """Characters of a line of text, which holds a scan."""
 _WRAPS = ("msg", "message", "data", "value")  # keys of what a message came in
 _SNAKE = re.compile(r"(?<=[a-z])[A-Z]")
-_NAMES = {
+NAMES = {
     "start_angle": "angle_min", "end_angle": "angle_max",  # of Foxglove
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
+_TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
 _NANO = 1e14  # seconds that no stamp has, but nanoseconds
 _POSES = ("pose", "odom", "mount")
 _TYPES = {"ranges": LASER, "child_frame_id": ODOMETRY, "transforms": TF[0]}
@@ -151,7 +152,7 @@ def unwrapped(entry: Any, where: str = "scan") -> tuple[Any, str | None]:
         return unwrapped(inner, where)[0], str(topic) if topic is not None else "a topic"
     plain = {_SNAKE.sub(lambda m: f"_{m[0].lower()}", str(key)): v for key, v in entry.items()}
     foxglove = "start_angle" in plain
-    plain = {_NAMES.get(key, key): value for key, value in plain.items()}
+    plain = {NAMES.get(key, key): value for key, value in plain.items()}
     if foxglove:  # the sensor in its frame, which may be the robot's
         pose = plain.pop("pose", None)
         if isinstance(pose, dict) and "orientation" in pose:
@@ -203,7 +204,11 @@ def read_jsonl_line(text: str, where: str, topic: str | None = None) -> ScanSet 
 
 def _object(entry: object, where: str) -> dict[str, Any]:
     if not isinstance(entry, dict):
-        raise ScanError(f"{where}: got {type(entry).__name__}, expected an object with ranges")
+        found = f"got {type(entry).__name__}, expected an object with ranges"
+        raise ScanError(f"{where}: {found}{_TABLE * isinstance(entry, list)}")
+    lists = [v for v in entry.values() if isinstance(v, list) and v]
+    if "ranges" not in entry and any(isinstance(v[0], dict | list) for v in lists):
+        raise ScanError(f"{where}: ranges: missing, expected a list of metres{_TABLE}")
     return plain_entry(entry, where)
 
 
@@ -233,9 +238,10 @@ class Lines(NamedTuple):
     cut: int  # number of the last line if that does not end, else 0
 
 
-def lines_of(path: PathLike, most: int = MAX_LINE) -> Lines:
-    """The lines of a file of text, each of at most so many characters."""
-    text = read_text(path)
+def lines_of(path: PathLike, most: int = MAX_LINE, *, other: str = "") -> Lines:
+    """The lines of a file of text, each of at most so many characters; see :func:`read_text`."""
+    text = read_text(path, other=other)
+    text = text if "\n" in text else text.replace("\r", "\n")
     numbered = check_lines(text.split("\n"), display(path), most)
     return Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
 
@@ -253,12 +259,14 @@ def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[t
 
 
 def number_of(text: str, where: str) -> float:
-    """The number that `text` spells; nothing and ``null`` are NaN."""
+    """The number that `text` spells, seconds of a date and time; nothing and ``null`` are NaN."""
     if not text or text.lower() == "null":
         return math.nan
     try:
         return float(text)
     except ValueError:
+        if isinstance(seconds := _seconds(text), float):
+            return seconds
         hint = "; separate by commas, with decimal points" if re.search(r"[;\t ]", text) else ""
         if where.endswith(": column 1") and not hint:
             hint = "; a table has lines such as 90.0,1230 below one of angle_deg,distance_mm"

@@ -78,7 +78,7 @@ def framed(
     f, beside = sheet.f, height > 1.3 * width
     sheet.add_map(canvas, origin, 0, 0)
     room = max(width, _ROOM * f)
-    lines = textwrap.wrap(title, round(room / f / _WIDE))
+    lines = textwrap.wrap(title, round(room / f / _WIDE), break_on_hyphens=False)
     sheet.text((0, height + 9 * f), "\n".join(lines), size=_LARGE, va="bottom", weight="bold")
     for x, y, label in labels:
         u, v = ((np.array((x, y)) - canvas.corner) * canvas.px_per_m).tolist()

@@ -17,7 +17,7 @@ import logging
 import os
 import queue
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import dataclass, field, replace
@@ -33,8 +33,10 @@ from imgloc.io.badlines import warned
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, is_folder, is_there, read_file
 from imgloc.io.folders import files_in, find_maps
+from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
+from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.remote import beside, local
-from imgloc.io.scans import SCAN_ENDINGS
+from imgloc.io.scans import SCAN_ENDINGS, why_no_scans
 from imgloc.model import plain
 from imgloc.runs.hints import Doubtful, hints_of
 from imgloc.runs.jobs import Answer, Item, Job, make_job
@@ -49,6 +51,7 @@ _AT_ONCE = 512  # items that an executor is given beyond those that are done
 _CODES = {MapError: "map", ScanError: "scan", ConfigError: "config", OutputError: "output"}
 _MAX_PAIRS = 256 << 20  # bytes
 _LOG = logging.getLogger("imgloc")
+_OF_MAPS = (*IMAGE_ENDINGS, *LOSSY_ENDINGS, *YAML_ENDINGS)  # which may lie among scans, unsaid
 _WARNED = 20  # different warnings that a run passes on
 
 
@@ -492,9 +495,16 @@ def _scans_in(scans: Path, out: PathLike | None) -> Iterator[tuple[str, Path]]:
     if not is_folder(scans):
         yield display(scans.name), scans.absolute()
         return
-    found = [p for p in files_in(scans, out) if p.suffix.lower() in SCAN_ENDINGS]
     # Beside a map there may be what was calibrated for it.
-    found = [p for p in found if not p.name.endswith(".calibration.json")]
+    files = [p for p in files_in(scans, out) if not p.name.endswith(".calibration.json")]
+    why = {path: why_no_scans(path) for path in files}
+    left, found = defaultdict[str, list[str]](list), [path for path in files if not why[path]]
+    for path in files:
+        if why[path] and path.suffix.lower() not in _OF_MAPS:
+            left[why[path]].append(display(path.name))
+    for reason, names in left.items():
+        more = f" and {len(names) - 1:,} more" if names[1:] else ""
+        _LOG.warning("%s: left out %s%s: %s", display(scans), names[0], more, reason)
     if not found:
         raise ConfigError(f"{display(scans)}: no scans, expected {', '.join(SCAN_ENDINGS)}")
     for path in found:

@@ -238,6 +238,19 @@ def test_items_are_every_map_with_every_scan(site: Path, tmp_path: Path) -> None
     assert [name for name, _ in which.maps] == ["a", "b"]
 
 
+def test_files_of_a_folder_are_told_by_what_they_hold(tmp_path: Path, caplog) -> None:
+    table = "# angle_min=-1, angle_max=1, range_max=9\n1.5,2.5,nan,3\n"
+    echoed = "header:\n  frame_id: laser\nangle_min: 0\nranges: [1, 2]\n---\n"
+    taken = {"a.txt": table, "b": table, "c.txt": echoed, "d.yaml": echoed}
+    left = {"README.txt": "The 2 scans.\n", "e.npy": "x", "f.png": "", "map.yaml": "image: f"}
+    for name, text in (taken | left).items():
+        (tmp_path / name).write_text(text)
+    found = find_items(tmp_path, tmp_path, make_job("localize"))
+    assert [(item.map, item.scans) for item in found] == [("map", name) for name in taken]
+    assert "left out README.txt: no table" in caplog.text
+    assert "left out e.npy: cannot be read: an array without angles" in caplog.text
+
+
 def test_pairs(site: Path, tmp_path: Path) -> None:
     pairs = site / "pairs.csv"
     with pairs.open("w", newline="") as file:

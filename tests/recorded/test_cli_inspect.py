@@ -193,8 +193,9 @@ def test_each_disturbance_is_named(shared: Path, tmp_path: Path, what: str, name
 def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> None:
     right = recorded(shared, next(iter(LOGS)))
     hanging = each(right, lambda s: s.flipped, 2)
-    odd = ["two-lasers"]
-    for scans, found in ((right, []), (turned(math.pi, 2)(right), odd), (hanging, odd)):
+    odd, both = ["two-lasers"], turned(2.0, 2)(hanging)
+    cases = (right, []), (turned(math.pi, 2)(right), odd), (hanging, odd), (both, odd)
+    for scans, found in cases:
         named = tuple(replace(scan, laser="ab"[k % 2]) for k, scan in enumerate(scans.scans))
         imgloc.save_scans(tmp_path / "log.npz", replace(scans, scans=named), force=True)
         run = call("inspect", tmp_path / "log.npz", "--json", "--no-cache")
@@ -202,7 +203,7 @@ def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> 
         assert rows(run.out)[-1]["next"].startswith("imgloc track")
         laser = odd_laser(replace(scans, scans=named), scans.odom)
         assert (laser is not None) == bool(found)
-        assert ("upside down" in run.out) == (scans is hanging)
+        assert ("upside down" in run.out) == (scans in (hanging, both))
         assert ("--topic " in rows(run.out)[-1]["next"]) == bool(found)
     # Scans that agree with no other one say nothing of the place that they are from.
     rng = np.random.default_rng(1)
@@ -262,6 +263,25 @@ def test_the_map_tells_a_mirrored_image(shared: Path, tmp_path: Path, name: str)
     imgloc.save_scans(tmp_path / "log.npz", recorded(shared, name))
     found = codes(call("inspect", tmp_path / "map.yaml", tmp_path / "log.npz", "--json"))
     assert found == ["mirrored"]
+
+
+def test_a_scale_that_scans_share_is_the_map_s_where_they_fit_with_it(shared: Path) -> None:
+    data = shared / "data"
+    own = data / "jarvis_inesc" / "map.yaml", data / "jarvis_inesc" / "complex.npz"
+    run = call("inspect", *own, "--resolution", 0.0106)
+    assert "the cells of the map are of 0.01 m. Try --resolution 0.01\n" in run.out
+    foreign = data / "guardian_crob" / "lab_slam.yaml", data / "wean" / "scans.npz"
+    assert "multiplied by" not in call("inspect", *foreign).out
+
+
+def test_a_map_that_explains_two_lasers_of_three_is_not_mirrored(shared, tmp_path) -> None:
+    scans, place = recorded(shared, "fr079"), shared / "data" / "fr079" / "map.yaml"
+    named = [replace(scan, laser="abc"[k % 3]) for k, scan in enumerate(scans.scans)]
+    named = [scan.flipped if scan.laser == "c" else scan for scan in named]
+    imgloc.save_scans(tmp_path / "log.npz", replace(scans, scans=tuple(named), odom=None))
+    run = call("inspect", place, tmp_path / "log.npz", "--json")
+    assert codes(run) == ["two-lasers"]
+    assert rows(run.out)[-1]["findings"][0]["options"] == "--topic 0,1"
 
 
 UNDISTURBED = {
