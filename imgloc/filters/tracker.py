@@ -437,7 +437,9 @@ class Tracker:
             if leader > laser.last + how.surprise[1]:
                 leak, new = how.leak[1], max(new, how.startle)
             laser.doubted = leader > self._strange(laser)
-        fit = log[at] - cost
+        # What a building on no map explains as well corrects no pose, and agrees with none.
+        fit, gained = log[at] - cost, seen.gained - (log.max() - log[at])
+        mapped = bool((gained[np.argmax(self._mass)] if known else seen.gained) > 0)
         elsewhere = ~self._same(poses[2 * known :, None], poses[: 2 * known]).any(axis=1)
         best = max(fit.max(initial=-np.inf), log[2 * known :][elsewhere].max(initial=-np.inf))
         gain = np.maximum((fit - best) * new, -how.drop)
@@ -445,31 +447,33 @@ class Tracker:
         mass = self._mass * np.exp(gain)
         if known:
             mass *= (1 - lost) / self._mass.sum()
-            gained = seen.gained - float(log.max() - log[at].max())
-            unknown = self.options.trust.mass_elsewhere(gained, 1.0)
+            unknown = self.options.trust.mass_elsewhere(float(gained.max()), 1.0)
             gone = lost * min(np.exp(_MOST), unknown / (1 - unknown)) ** new
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
             odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
-        self._settle(seen, at, laser)
+        self._settle(seen, at, laser, gained > 0)
         self._normalise()
         self._bear(seen, 2 * known, new)
         self._tidy()
-        self._agree(view, laser)
+        self._agree(view, laser, mapped)
         self._judge_map(self._explains(laser))
         self._remember()
 
-    def _agree(self, view: View, laser: Laser) -> None:
-        """Count the scans that agree with the best component, and learn from this one."""
+    def _agree(self, view: View, laser: Laser, mapped: bool) -> None:
+        """Count the scans that agree with the best component, and learn from this one.
+
+        `mapped` is whether the map explains the scan there better than a building on no map.
+        """
         how = self.how
         least = how.mass[self.options.shared.bent > 0]
         agrees = (self._mass[:1] >= least).any()
         enough = len(view.readings) >= how.agree[1]
         self._agreed = self._agreed + enough if agrees else 0
         self._dark &= self._agreed < how.agree[0]
-        if agrees and enough and not laser.doubted:
+        if agrees and enough and mapped and not laser.doubted:
             self._since = 0.0
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
@@ -626,13 +630,13 @@ class Tracker:
     def _noise(self, seen: Sight) -> FloatArray:
         return np.asarray(seen.covariance + np.diag((self.how.error[0], *self.how.error)) ** 2)
 
-    def _settle(self, seen: Sight, at: IntArray, laser: Laser) -> None:
-        """Correct the components by the poses they are at.
+    def _settle(self, seen: Sight, at: IntArray, laser: Laser, mapped: BoolArray) -> None:
+        """Correct the components by the poses they are at, if the map explains the scan there.
 
         A component that stays at its own pose is corrected only if the scan fits there.
         """
         fits = seen.misfit[at] <= self._strange(laser)
-        some = np.flatnonzero((at != np.arange(len(at))) | fits)
+        some = np.flatnonzero(mapped & ((at != np.arange(len(at))) | fits))
         if len(some):
             self._correct(some, seen.poses[at[some]], self._noise(seen)[at[some]])
 
