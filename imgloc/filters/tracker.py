@@ -417,9 +417,11 @@ class Tracker:
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
         strange = contradicted or self._lasers.doubted or self._lost > how.known
-        found = self._search(scan, view, strange=strange, at_once=driven >= how.later)
-        if len(found.poses) and self._judge_walls(view, found.poses):
-            found = self._search(scan, view, strange=True)
+        due = strange or self._unsearched >= self._pause
+        found = self._search(scan, view, due=due, strange=strange, at_once=driven >= how.later)
+        # Scans that are searched close to each other tell the same about the walls.
+        if due and len(found.poses) and self._judge_walls(view, found.poses):
+            found = self._search(scan, view, due=True, strange=True)
             known = len(self._poses)
         near = settled(self.features, view, self._poses, self._covariance)
         poses = np.concatenate((self._poses, near, found.poses))
@@ -482,20 +484,23 @@ class Tracker:
                 self._stretch(view, fits=laser.last <= self.options.fused.strained)
 
     def _search(
-        self, scan: LaserScan, view: View, *, strange: bool, at_once: bool = False
+        self, scan: LaserScan, view: View, *, due: bool, strange: bool, at_once: bool = False
     ) -> Places:
-        """Search the map if it is time; return where the **robot** may be besides its components.
+        """Search the map if it is `due`; return where the **robot** may be besides its components.
 
-        A scan that is `strange` needs the places at once. A robot that is unique does not: each of
+        A scan that is `strange` needs the places at once, and so does a robot that is not unique,
+        due or not: its own place may be in no list yet. A robot that is unique does not: each of
         the next scans does one step of the search, so that none takes much longer than the others.
         The way decides when the places are scored, so times and threads change nothing. Scans that
         are far apart leave the time for a whole search: `at_once`.
         """
         how, begun, self._searching = self.how, self._searching, None
-        if strange or (begun is None and self._unsearched >= self._pause):
-            sure = not strange and self.belief.verdict == UNIQUE
-            self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
-            self._unsearched, begun = 0.0, _Search(self._steps(scan), view)
+        sure = not strange and self.belief.verdict == UNIQUE
+        if not sure or (due and begun is None):
+            if due:
+                self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
+                self._unsearched = 0.0
+            begun = _Search(self._steps(scan), view)
             if at_once or not sure:
                 return begun.places(2 * how.births)
         if begun is None:
