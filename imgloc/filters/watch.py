@@ -11,8 +11,9 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
-from imgloc.filters.evidence import settled, sight, usable, view_of
+from imgloc.filters.evidence import misfit_near, settled, sight, usable, view_of
 from imgloc.filters.follow import BLIND, Moment
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, pose_errors
 from imgloc.model import LaserScan, Pose2D, base_of, compose, inverse, plain
 from imgloc.numbers import number
@@ -23,7 +24,7 @@ AGREES, DISAGREES, CANNOT = ("agrees", "disagrees", "cannot tell")
 _NEAR: tuple[float, float] = number("watch.near")
 _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
-_LOOKS: int = number("watch.looks")
+_LOOKS: tuple[int, int] = number("watch.looks")
 _CHANCE: float = number("watch.chance")
 
 
@@ -78,6 +79,8 @@ class Watch:
         self._claim: tuple[float, Pose2D, Pose2D | None] | None = None
         self._against = 0  # looks in a row that are against it
         self._looked = -np.inf  # stamp of the last look at one scan alone
+        # Of each laser: the misfit at the pose before it leapt, nats per reading, and when it did.
+        self._fitted = dict[str, tuple[float, float]]()
 
     def hear(self, stamp: float, pose: Pose2D, odom: Pose2D | None) -> None:
         """Take a pose of the base, map frame, with its stamp and the odometry of that time."""
@@ -94,7 +97,7 @@ class Watch:
             return self.opinion
         said, why, pose = judged
         self._against = self._against + 1 if said == DISAGREES else 0
-        if 0 < self._against < _LOOKS:
+        if 0 < self._against < _LOOKS[0]:
             said, why, pose = CANNOT, f"once: {why}", None
         since = self.opinion.since if said == self.opinion.said else stamp
         self.opinion = Opinion(said, why, pose, since)
@@ -112,6 +115,7 @@ class Watch:
             claim = compose(claim, way)
             if (metres := float(np.hypot(way.x, way.y))) > _SILENT:
                 return DISAGREES, f"no pose has come for {metres:.1f} m", moment.pose
+        suddenly = self._misfit_leapt(scan, claim, stamp)
         if moment.belief.verdict == UNIQUE and moment.best is not None:
             return self._beside(claim, moment.best)
         if moment.withheld == BLIND:
@@ -119,7 +123,25 @@ class Watch:
         if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
             return None
         self._looked = stamp
+        if suddenly > _LOOKS[1] * _EACH:
+            return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
         return self._alone(scan, claim, moment)
+
+    def _misfit_leapt(self, scan: LaserScan, claim: Pose2D, stamp: float) -> float:
+        """Seconds for which scans have fitted far worse at a pose than just before; 0 if not.
+
+        A changed place fits worse step by step, another place at once.
+        """
+        fitted, since = self._fitted.pop(scan.laser, (np.nan, stamp))
+        if (seen := usable(scan, self.options)) is None:
+            return 0.0
+        base = in_grid_frame(claim, self.features.grid)
+        view = view_of(seen, self.options)
+        misfit = misfit_near(self.features, view, np.array([[*base]]), self.options)
+        if not misfit > fitted + TrackerOptions().surprise[1]:
+            fitted, since = misfit, stamp
+        self._fitted[scan.laser] = fitted, since
+        return stamp - since
 
     def _alone(
         self, scan: LaserScan, claim: Pose2D, moment: Moment
