@@ -103,9 +103,10 @@ class TrackerOptions(Checked):
     again: Count = number("TrackerOptions.again")
     #: distance from which a pose is at another place: metres, and metres for each metre driven
     elsewhere: tuple[Metres, Share] = number("TrackerOptions.elsewhere")
-    #: metres between two searches of the whole map while the best component fits as usual: the
-    #: first distance, and the greatest. It doubles after each search that leaves the best component
-    #: unique. Between searches only the components are scored.
+    #: metres between two searches of the whole map while the best component is unique: the first
+    #: distance, and the greatest. It doubles after each search that leaves it unique. Between
+    #: searches only the components are scored. While none is unique, each scan that weighs is
+    #: searched, and scans at the first distance tell of the walls.
     search: tuple[Metres, Metres] = number("TrackerOptions.search")
     #: metres from the scan of a search to the scan that scores its places, if the best component
     #: was unique when the search began. Each scan between them does one step of the search.

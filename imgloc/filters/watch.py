@@ -11,7 +11,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
-from imgloc.filters.evidence import misfit_near, settled, sight, usable, view_of
+from imgloc.filters.evidence import Sight, settled, sight, usable, view_of
 from imgloc.filters.follow import BLIND, Moment
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, pose_errors
@@ -115,54 +115,51 @@ class Watch:
             claim = compose(claim, way)
             if (metres := float(np.hypot(way.x, way.y))) > _SILENT:
                 return DISAGREES, f"no pose has come for {metres:.1f} m", moment.pose
-        suddenly = self._misfit_leapt(scan, claim, stamp)
+        seen = self._seen(scan, base := in_grid_frame(claim, self.features.grid))
+        suddenly = self._misfit_leapt(scan.laser, seen, stamp)
         if moment.belief.verdict == UNIQUE and moment.best is not None:
             return self._beside(claim, moment.best)
-        if moment.withheld == BLIND:
+        if moment.withheld == BLIND or seen is None:
             return CANNOT, "the scans say nothing", None
         if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
             return None
         self._looked = stamp
+        answer = localize(self.features, scan, self.options)
+        if answer.verdict == UNIQUE:
+            mount = scan.T_base_laser or Pose2D(0.0, 0.0)
+            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
         if suddenly > _LOOKS[1] * _EACH:
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
-        return self._alone(scan, claim, moment)
-
-    def _misfit_leapt(self, scan: LaserScan, claim: Pose2D, stamp: float) -> float:
-        """Seconds for which scans have fitted far worse at a pose than just before; 0 if not.
-
-        A changed place fits worse step by step, another place at once.
-        """
-        fitted, since = self._fitted.pop(scan.laser, (np.nan, stamp))
-        if (seen := usable(scan, self.options)) is None:
-            return 0.0
-        base = in_grid_frame(claim, self.features.grid)
-        view = view_of(seen, self.options)
-        misfit = misfit_near(self.features, view, np.array([[*base]]), self.options)
-        if not misfit > fitted + TrackerOptions().surprise[1]:
-            fitted, since = misfit, stamp
-        self._fitted[scan.laser] = fitted, since
-        return stamp - since
-
-    def _alone(
-        self, scan: LaserScan, claim: Pose2D, moment: Moment
-    ) -> tuple[str, str, Pose2D | None]:
-        """One scan on the whole map against the pose; it alone outweighs no place that holds."""
-        answer = localize(self.features, scan, self.options)
-        mount = scan.T_base_laser or Pose2D(0.0, 0.0)
-        if answer.verdict == UNIQUE:
-            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
-        base = in_grid_frame(claim, self.features.grid)
+        # One scan alone outweighs no place that holds.
         near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
         if (held := float(moment.belief.mass[near].sum())) > _CHANCE:
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
-        if answer.verdict == "invalid" or (seen := usable(scan, self.options)) is None:
-            return CANNOT, "the scan says little", None
-        view, at = view_of(seen, self.options), np.array([[base.x, base.y, base.theta]])
-        at = settled(self.features, view, at)
-        odds = sight(self.features, view, at, self.options).gained
-        if odds > np.log(_CHANCE / (1 - _CHANCE)):
+        if seen.gained > np.log(_CHANCE / (1 - _CHANCE)):
             return CANNOT, "several places fit, or the scan says little", None
-        return DISAGREES, f"the scan is {np.exp(-odds):.3g} times as likely in no place", None
+        odds = np.exp(-seen.gained)
+        return DISAGREES, f"the scan is {odds:.3g} times as likely in no place", None
+
+    def _seen(self, scan: LaserScan, base: Pose2D) -> Sight | None:
+        """Fit of a scan at a pose, grid frame, or close by; None if the scan is blind."""
+        if (used := usable(scan, self.options)) is None:
+            return None
+        view = view_of(used, self.options)
+        at = settled(self.features, view, np.array([[*base]]))
+        return sight(self.features, view, at, self.options)
+
+    def _misfit_leapt(self, laser: str, seen: Sight | None, stamp: float) -> float:
+        """Seconds for which scans have fitted far worse at a pose than just before; 0 if not.
+
+        A changed place fits worse step by step, another place at once. Where scans fitted badly
+        before, this tells nothing.
+        """
+        how, (fitted, since) = TrackerOptions(), self._fitted.pop(laser, (np.nan, stamp))
+        if seen is None:
+            return 0.0
+        if not (fitted <= how.fits[1] and seen.misfit[0] > fitted + how.surprise[1]):
+            fitted, since = float(seen.misfit[0]), stamp
+        self._fitted[laser] = fitted, since
+        return stamp - since
 
     def _beside(self, claim: Pose2D, own: Pose2D) -> tuple[str, str, Pose2D | None]:
         metres, turned = apart = pose_errors(np.array([*claim]), own)

@@ -175,7 +175,7 @@ def score_readings(
 
 @dataclass(frozen=True)
 class _Told:
-    """What N readings in P pieces tell of C poses; with what is movable where a piece fits so."""
+    """Fit of N readings in P pieces at C poses, with what is movable where a piece fits so."""
 
     total: FloatArray  #: (C,) log-densities of all readings, nats
     pieces: FloatArray  #: (C, P) those of each piece
@@ -187,7 +187,7 @@ class _Told:
 def _told(
     features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> _Told:
-    """What readings tell of poses (C, 3), grid frame."""
+    """Fit of readings at poses (C, 3), grid frame."""
     order, parts, _ = pieces(readings.ranges, readings.angles)
     density, distance = _endpoint_density(features, readings, poses, model)
     shifted, unmet = _shifted(features, readings, poses, model)
