@@ -26,6 +26,7 @@ _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
 _LOOKS: tuple[int, int] = number("watch.looks")
 _CHANCE: float = number("watch.chance")
+_LEAD = np.log((1 - _CHANCE) / _CHANCE)  # nats
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class Watch:
         seen = self._seen(scan, base := in_grid_frame(claim, self.features.grid))
         suddenly = self._misfit_leapt(scan.laser, seen, stamp)
         if moment.belief.verdict == UNIQUE and moment.best is not None:
-            return self._beside(claim, moment.best)
+            return self._beside(claim, moment.best, scan)
         if moment.withheld == BLIND or seen is None:
             return CANNOT, "the scans say nothing", None
         if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
@@ -127,14 +128,14 @@ class Watch:
         answer = localize(self.features, scan, self.options)
         if answer.verdict == UNIQUE:
             mount = scan.T_base_laser or Pose2D(0.0, 0.0)
-            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
+            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount), scan)
         if suddenly > _LOOKS[1] * _EACH:
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
         # One scan alone outweighs no place that holds.
         near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
         if (held := float(moment.belief.mass[near].sum())) > _CHANCE:
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
-        if seen.gained > np.log(_CHANCE / (1 - _CHANCE)):
+        if seen.gained > -_LEAD:
             return CANNOT, "several places fit, or the scan says little", None
         odds = np.exp(-seen.gained)
         return DISAGREES, f"the scan is {odds:.3g} times as likely in no place", None
@@ -161,7 +162,19 @@ class Watch:
         self._fitted[laser] = fitted, since
         return stamp - since
 
-    def _beside(self, claim: Pose2D, own: Pose2D) -> tuple[str, str, Pose2D | None]:
+    def _beside(
+        self, claim: Pose2D, own: Pose2D, scan: LaserScan
+    ) -> tuple[str, str, Pose2D | None]:
         metres, turned = apart = pose_errors(np.array([*claim]), own)
         words = f"{metres:.2f} m and {np.rad2deg(turned):.0f} deg apart"
-        return AGREES if (apart <= _NEAR).all() else DISAGREES, words, own
+        if (apart <= _NEAR).all():
+            return AGREES, words, own
+        # Among things on no map the own filter may be off itself by so little, and be sure.
+        close = (apart <= 2 * np.array(_NEAR)).all()
+        if close and (used := usable(scan, self.options)) is not None:
+            both = np.array([[*in_grid_frame(pose, self.features.grid)] for pose in (own, claim)])
+            view = view_of(used, self.options)
+            mine, other = sight(self.features, view, both, self.options).log_likelihood
+            if mine - other < _LEAD:
+                return CANNOT, f"{words}, and the scan fits both", None
+        return DISAGREES, words, own
