@@ -221,7 +221,8 @@ def test_a_tracker_that_knows_its_place_seldom_searches_the_map() -> None:
         return found(scan)
 
     list(follow(features_of(WORLD), log(), Tracker(features_of(WORLD), find=find)))
-    assert asked == [0.0, 3.0, 9.0, 21.0]  # after 1.5 m, then twice as far each time, up to 6 m
+    # Each scan until it is unique, then after 1.5 m, then twice as far each time, up to 6 m.
+    assert asked == [0.0, 1.0, 3.0, 9.0, 21.0]
 
 
 def test_no_scan_of_a_robot_that_is_sure_waits_for_a_whole_search(monkeypatch) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import logit
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
@@ -26,7 +27,7 @@ _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
 _LOOKS: tuple[int, int] = number("watch.looks")
 _CHANCE: float = number("watch.chance")
-_LEAD = np.log((1 - _CHANCE) / _CHANCE)  # nats
+_LEAD = -float(logit(_CHANCE))  # nats
 
 
 @dataclass(frozen=True)
