@@ -153,7 +153,7 @@ class Watch:
         """Seconds for which scans have fitted far worse at a pose than just before; 0 if not.
 
         A changed place fits worse step by step, another place at once. Where scans fitted badly
-        before, this tells nothing.
+        before, this means nothing.
         """
         how, (fitted, since) = TrackerOptions(), self._fitted.pop(laser, (np.nan, stamp))
         if seen is None:
