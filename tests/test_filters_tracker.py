@@ -149,7 +149,7 @@ def test_a_place_that_the_search_has_not_listed_does_not_die() -> None:
 def test_which_of_close_maxima_it_is_may_show_with_the_next_scans() -> None:
     """A search that says how far its maxima are apart is followed from one to another."""
     scans, features = piece(log(), range(3)), features_of(WORLD)
-    beside = transform_poses(inverse(features.grid.origin), scans.poses[:1]) + [0.35, 0.0, 0.0]
+    beside = transform_poses(inverse(features.grid.origin), scans.poses[:1]) + [0.45, 0.0, 0.0]
     for deviation, verdict in ((0.0, "lost"), (0.15, "ambiguous")):
         places = Places(beside, np.diag([deviation**2, deviation**2, 0.0])[None])
         tracker = Tracker(features, find=lambda scan, at=places: NO_PLACES if scan.stamp else at)
@@ -221,7 +221,8 @@ def test_a_tracker_that_knows_its_place_seldom_searches_the_map() -> None:
         return found(scan)
 
     list(follow(features_of(WORLD), log(), Tracker(features_of(WORLD), find=find)))
-    assert asked == [0.0, 3.0, 9.0, 21.0]  # after 1.5 m, then twice as far each time, up to 6 m
+    # Each scan until it is unique, then after 1.5 m, then twice as far each time, up to 6 m.
+    assert asked == [0.0, 1.0, 3.0, 9.0, 21.0]
 
 
 def test_no_scan_of_a_robot_that_is_sure_waits_for_a_whole_search(monkeypatch) -> None:

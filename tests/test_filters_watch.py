@@ -99,3 +99,18 @@ def test_a_scan_that_fits_nowhere_outweighs_no_place_that_the_scans_before_hold(
         watch, held = Watch(features, imgloc.Options()), replace(moment, belief=belief)
         watch.hear(0.0, moment.best, None)
         assert [watch.step(odd, None, held, at).said for at in (1.0, 2.0)] == [CANNOT, expected]
+
+
+def test_scans_that_suddenly_do_not_fit_speak_against_what_odometry_alone_holds(
+    features, drive
+) -> None:
+    own = imgloc.Tracking().follower(features, imgloc.Options())
+    moment = own.step(scan := drive.scans[0], drive.odom[0])
+    held = replace(moment, belief=replace(moment.belief, verdict="ambiguous"))
+    odd = replace(scan, ranges=np.full(len(scan.ranges), 4.0))
+    for scans, expected in (([scan, *[odd] * 6], DISAGREES), ([odd] * 7, CANNOT)):
+        watch, true = Watch(features, imgloc.Options()), Pose2D(*drive.poses[0])
+        watch.hear(0.0, true, None)
+        words = [watch.step(s, None, held, 0.5 * k).said for k, s in enumerate(scans)]
+        assert DISAGREES not in words[:6]
+        assert words[6] == expected

@@ -103,9 +103,10 @@ class TrackerOptions(Checked):
     again: Count = number("TrackerOptions.again")
     #: distance from which a pose is at another place: metres, and metres for each metre driven
     elsewhere: tuple[Metres, Share] = number("TrackerOptions.elsewhere")
-    #: metres between two searches of the whole map while the best component fits as usual: the
-    #: first distance, and the greatest. It doubles after each search that leaves the best component
-    #: unique. Between searches only the components are scored.
+    #: metres between two searches of the whole map while the best component is unique: the first
+    #: distance, and the greatest. It doubles after each search that leaves it unique. Between
+    #: searches only the components are scored. While none is unique, each scan that weighs is
+    #: searched, and scans at the first distance tell of the walls.
     search: tuple[Metres, Metres] = number("TrackerOptions.search")
     #: metres from the scan of a search to the scan that scores its places, if the best component
     #: was unique when the search began. Each scan between them does one step of the search.
@@ -417,9 +418,11 @@ class Tracker:
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
         strange = contradicted or self._lasers.doubted or self._lost > how.known
-        found = self._search(scan, view, strange=strange, at_once=driven >= how.later)
-        if len(found.poses) and self._judge_walls(view, found.poses):
-            found = self._search(scan, view, strange=True)
+        due = strange or self._unsearched >= self._pause
+        found = self._search(scan, view, due=due, strange=strange, at_once=driven >= how.later)
+        # Scans that are searched close to each other tell the same about the walls.
+        if due and len(found.poses) and self._judge_walls(view, found.poses):
+            found = self._search(scan, view, due=True, strange=True)
             known = len(self._poses)
         near = settled(self.features, view, self._poses, self._covariance)
         poses = np.concatenate((self._poses, near, found.poses))
@@ -437,7 +440,9 @@ class Tracker:
             if leader > laser.last + how.surprise[1]:
                 leak, new = how.leak[1], max(new, how.startle)
             laser.doubted = leader > self._strange(laser)
-        fit = log[at] - cost
+        # What a building on no map explains as well corrects no pose, and agrees with none.
+        fit, gained = log[at] - cost, seen.gained - (log.max() - log[at])
+        mapped = bool((gained[np.argmax(self._mass)] if known else seen.gained) > 0)
         elsewhere = ~self._same(poses[2 * known :, None], poses[: 2 * known]).any(axis=1)
         best = max(fit.max(initial=-np.inf), log[2 * known :][elsewhere].max(initial=-np.inf))
         gain = np.maximum((fit - best) * new, -how.drop)
@@ -445,31 +450,33 @@ class Tracker:
         mass = self._mass * np.exp(gain)
         if known:
             mass *= (1 - lost) / self._mass.sum()
-            gained = seen.gained - float(log.max() - log[at].max())
-            unknown = self.options.trust.mass_elsewhere(gained, 1.0)
+            unknown = self.options.trust.mass_elsewhere(float(gained.max()), 1.0)
             gone = lost * min(np.exp(_MOST), unknown / (1 - unknown)) ** new
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
             odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
-        self._settle(seen, at, laser)
+        self._settle(seen, at, laser, gained > 0)
         self._normalise()
         self._bear(seen, 2 * known, new)
         self._tidy()
-        self._agree(view, laser)
+        self._agree(view, laser, mapped)
         self._judge_map(self._explains(laser))
         self._remember()
 
-    def _agree(self, view: View, laser: Laser) -> None:
-        """Count the scans that agree with the best component, and learn from this one."""
+    def _agree(self, view: View, laser: Laser, mapped: bool) -> None:
+        """Count the scans that agree with the best component, and learn from this one.
+
+        `mapped` is whether the map explains the scan there better than a building on no map.
+        """
         how = self.how
         least = how.mass[self.options.shared.bent > 0]
         agrees = (self._mass[:1] >= least).any()
         enough = len(view.readings) >= how.agree[1]
         self._agreed = self._agreed + enough if agrees else 0
         self._dark &= self._agreed < how.agree[0]
-        if agrees and enough and not laser.doubted:
+        if agrees and enough and mapped and not laser.doubted:
             self._since = 0.0
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
@@ -478,20 +485,23 @@ class Tracker:
                 self._stretch(view, fits=laser.last <= self.options.fused.strained)
 
     def _search(
-        self, scan: LaserScan, view: View, *, strange: bool, at_once: bool = False
+        self, scan: LaserScan, view: View, *, due: bool, strange: bool, at_once: bool = False
     ) -> Places:
-        """Search the map if it is time; return where the **robot** may be besides its components.
+        """Search the map if it is `due`; return where the **robot** may be besides its components.
 
-        A scan that is `strange` needs the places at once. A robot that is unique does not: each of
+        A scan that is `strange` needs the places at once, and so does a robot that is not unique,
+        due or not: its own place may be in no list yet. A robot that is unique does not: each of
         the next scans does one step of the search, so that none takes much longer than the others.
         The way decides when the places are scored, so times and threads change nothing. Scans that
         are far apart leave the time for a whole search: `at_once`.
         """
         how, begun, self._searching = self.how, self._searching, None
-        if strange or (begun is None and self._unsearched >= self._pause):
-            sure = not strange and self.belief.verdict == UNIQUE
-            self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
-            self._unsearched, begun = 0.0, _Search(self._steps(scan), view)
+        sure = not strange and self.belief.verdict == UNIQUE
+        if not sure or (due and begun is None):
+            if due:
+                self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
+                self._unsearched = 0.0
+            begun = _Search(self._steps(scan), view)
             if at_once or not sure:
                 return begun.places(2 * how.births)
         if begun is None:
@@ -626,13 +636,13 @@ class Tracker:
     def _noise(self, seen: Sight) -> FloatArray:
         return np.asarray(seen.covariance + np.diag((self.how.error[0], *self.how.error)) ** 2)
 
-    def _settle(self, seen: Sight, at: IntArray, laser: Laser) -> None:
-        """Correct the components by the poses they are at.
+    def _settle(self, seen: Sight, at: IntArray, laser: Laser, mapped: BoolArray) -> None:
+        """Correct the components by the poses they are at, if the map explains the scan there.
 
         A component that stays at its own pose is corrected only if the scan fits there.
         """
         fits = seen.misfit[at] <= self._strange(laser)
-        some = np.flatnonzero((at != np.arange(len(at))) | fits)
+        some = np.flatnonzero(mapped & ((at != np.arange(len(at))) | fits))
         if len(some):
             self._correct(some, seen.poses[at[some]], self._noise(seen)[at[some]])
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import logit
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
-from imgloc.filters.evidence import settled, sight, usable, view_of
+from imgloc.filters.evidence import Sight, settled, sight, usable, view_of
 from imgloc.filters.follow import BLIND, Moment
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, pose_errors
 from imgloc.model import LaserScan, Pose2D, base_of, compose, inverse, plain
 from imgloc.numbers import number
@@ -23,8 +25,9 @@ AGREES, DISAGREES, CANNOT = ("agrees", "disagrees", "cannot tell")
 _NEAR: tuple[float, float] = number("watch.near")
 _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
-_LOOKS: int = number("watch.looks")
+_LOOKS: tuple[int, int] = number("watch.looks")
 _CHANCE: float = number("watch.chance")
+_LEAD = -float(logit(_CHANCE))  # nats
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,8 @@ class Watch:
         self._claim: tuple[float, Pose2D, Pose2D | None] | None = None
         self._against = 0  # looks in a row that are against it
         self._looked = -np.inf  # stamp of the last look at one scan alone
+        # Of each laser: the misfit at the pose before it leapt, nats per reading, and when it did.
+        self._fitted = dict[str, tuple[float, float]]()
 
     def hear(self, stamp: float, pose: Pose2D, odom: Pose2D | None) -> None:
         """Take a pose of the base, map frame, with its stamp and the odometry of that time."""
@@ -94,7 +99,7 @@ class Watch:
             return self.opinion
         said, why, pose = judged
         self._against = self._against + 1 if said == DISAGREES else 0
-        if 0 < self._against < _LOOKS:
+        if 0 < self._against < _LOOKS[0]:
             said, why, pose = CANNOT, f"once: {why}", None
         since = self.opinion.since if said == self.opinion.said else stamp
         self.opinion = Opinion(said, why, pose, since)
@@ -112,37 +117,65 @@ class Watch:
             claim = compose(claim, way)
             if (metres := float(np.hypot(way.x, way.y))) > _SILENT:
                 return DISAGREES, f"no pose has come for {metres:.1f} m", moment.pose
+        seen = self._seen(scan, base := in_grid_frame(claim, self.features.grid))
+        suddenly = self._misfit_leapt(scan.laser, seen, stamp)
         if moment.belief.verdict == UNIQUE and moment.best is not None:
-            return self._beside(claim, moment.best)
-        if moment.withheld == BLIND:
+            return self._beside(claim, moment.best, scan)
+        if moment.withheld == BLIND or seen is None:
             return CANNOT, "the scans say nothing", None
         if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
             return None
         self._looked = stamp
-        return self._alone(scan, claim, moment)
-
-    def _alone(
-        self, scan: LaserScan, claim: Pose2D, moment: Moment
-    ) -> tuple[str, str, Pose2D | None]:
-        """One scan on the whole map against the pose; it alone outweighs no place that holds."""
         answer = localize(self.features, scan, self.options)
-        mount = scan.T_base_laser or Pose2D(0.0, 0.0)
         if answer.verdict == UNIQUE:
-            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount))
-        base = in_grid_frame(claim, self.features.grid)
+            mount = scan.T_base_laser or Pose2D(0.0, 0.0)
+            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount), scan)
+        if suddenly > _LOOKS[1] * _EACH:
+            return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
+        # One scan alone outweighs no place that holds.
         near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
         if (held := float(moment.belief.mass[near].sum())) > _CHANCE:
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
-        if answer.verdict == "invalid" or (seen := usable(scan, self.options)) is None:
-            return CANNOT, "the scan says little", None
-        view, at = view_of(seen, self.options), np.array([[base.x, base.y, base.theta]])
-        at = settled(self.features, view, at)
-        odds = sight(self.features, view, at, self.options).gained
-        if odds > np.log(_CHANCE / (1 - _CHANCE)):
+        if seen.gained > -_LEAD:
             return CANNOT, "several places fit, or the scan says little", None
-        return DISAGREES, f"the scan is {np.exp(-odds):.3g} times as likely in no place", None
+        odds = np.exp(-seen.gained)
+        return DISAGREES, f"the scan is {odds:.3g} times as likely in no place", None
 
-    def _beside(self, claim: Pose2D, own: Pose2D) -> tuple[str, str, Pose2D | None]:
+    def _seen(self, scan: LaserScan, base: Pose2D) -> Sight | None:
+        """Fit of a scan at a pose, grid frame, or close by; None if the scan is blind."""
+        if (used := usable(scan, self.options)) is None:
+            return None
+        view = view_of(used, self.options)
+        at = settled(self.features, view, np.array([[*base]]))
+        return sight(self.features, view, at, self.options)
+
+    def _misfit_leapt(self, laser: str, seen: Sight | None, stamp: float) -> float:
+        """Seconds for which scans have fitted far worse at a pose than just before; 0 if not.
+
+        A changed place fits worse step by step, another place at once. Where scans fitted badly
+        before, this means nothing.
+        """
+        how, (fitted, since) = TrackerOptions(), self._fitted.pop(laser, (np.nan, stamp))
+        if seen is None:
+            return 0.0
+        if not (fitted <= how.fits[1] and seen.misfit[0] > fitted + how.surprise[1]):
+            fitted, since = float(seen.misfit[0]), stamp
+        self._fitted[laser] = fitted, since
+        return stamp - since
+
+    def _beside(
+        self, claim: Pose2D, own: Pose2D, scan: LaserScan
+    ) -> tuple[str, str, Pose2D | None]:
         metres, turned = apart = pose_errors(np.array([*claim]), own)
         words = f"{metres:.2f} m and {np.rad2deg(turned):.0f} deg apart"
-        return AGREES if (apart <= _NEAR).all() else DISAGREES, words, own
+        if (apart <= _NEAR).all():
+            return AGREES, words, own
+        # Among things on no map the own filter may be off itself by so little, and be sure.
+        close = (apart <= 2 * np.array(_NEAR)).all()
+        if close and (used := usable(scan, self.options)) is not None:
+            both = np.array([[*in_grid_frame(pose, self.features.grid)] for pose in (own, claim)])
+            view = view_of(used, self.options)
+            mine, other = sight(self.features, view, both, self.options).log_likelihood
+            if mine - other < _LEAD:
+                return CANNOT, f"{words}, and the scan fits both", None
+        return DISAGREES, words, own

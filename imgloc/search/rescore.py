@@ -119,21 +119,21 @@ def score_poses(
     scale of the readings, a factor.
     """
     order, parts, goes_on = pieces(readings.ranges, readings.angles)
-    log_likelihood, told, distance, shifted, silence = _told(features, readings, poses, model)
+    told = _told(features, readings, poses, model)
     if not model.bent:
         displaced = replace(model, bent=_DISPLACED)
-        bent = _bent_pieces(distance[:, order], parts, displaced, shifted[:, order])
-        told = np.logaddexp(told, bent - _DISPLACEMENT)
-    on_surface, crossed = np.abs(distance) < 2 * max(model.sigmas), shifted < model.absent
+        bent = _bent_pieces(told.distance[:, order], parts, displaced, told.shifted[:, order])
+        told = replace(told, pieces=np.logaddexp(told.pieces, bent - _DISPLACEMENT))
+    on_surface, crossed = np.abs(told.distance) < 2 * max(model.sigmas), told.shifted < model.absent
     sizes, own = _sizes(parts, len(order)), things_of_their_own(parts, len(order), model)
     crossing, some = _sums(crossed[:, order], parts), sizes >= _RUN[0]
-    fits = some & (told > np.maximum(own, sizes * (model.best - _FITS)))
+    fits = some & (told.pieces > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
-    things = _whole(log_likelihood, told, own, goes_on, silence, model)
-    things -= _PRICE * _within(features, poses)
+    things = _whole(told, own, goes_on, model) - _PRICE * _within(features, poses)
     return Scores(
-        log_likelihood, things, silence, fits, some & (told < own), passing, on_surface, crossed
-    )
+        told.total, things, told.silence, fits, some & (told.pieces < own), passing, on_surface,
+        crossed,
+    )  # fmt: skip
 
 
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
@@ -162,48 +162,53 @@ def score_things(
 ) -> FloatArray:
     """Log-likelihoods (C,) by things, nats, but no piece of wall is displaced: for a first look."""
     _, parts, goes_on = pieces(readings.ranges, readings.angles)
-    total, told, _, _, silence = _told(features, readings, poses, model)
     own = things_of_their_own(parts, len(readings), model)
-    return _whole(total, told, own, goes_on, silence, model)
+    return _whole(_told(features, readings, poses, model), own, goes_on, model)
 
 
 def score_readings(
     features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
 ) -> FloatArray:
     """Log-likelihoods (C,) of :func:`score_poses`, nats, without the things."""
-    return _told(features, replace(readings, silent=None), poses, model)[0]
+    return _told(features, replace(readings, silent=None), poses, model).total
+
+
+@dataclass(frozen=True)
+class _Told:
+    """Fit of N readings in P pieces at C poses, with what is movable where a piece fits so."""
+
+    total: FloatArray  #: (C,) log-densities of all readings, nats
+    pieces: FloatArray  #: (C, P) those of each piece
+    distance: Float32Array  #: (C, N) of the endpoints from a surface, metres
+    shifted: Float32Array  #: (C, N) chance that the wall that a reading passes is displaced
+    silence: FloatArray  #: (C,) log-probability of rays that met nothing, on the bare map
 
 
 def _told(
     features: MapFeatures, readings: Readings, poses: FloatArray, model: EvidenceModel
-) -> tuple[FloatArray, FloatArray, Float32Array, Float32Array, FloatArray]:
-    """Log-densities (C,) of all readings and (C, P) of each piece, nats.
-
-    Then the distances (C, N) of the endpoints from a surface, metres, and the chance (C, N) that
-    the wall that a reading passes is displaced: with what is movable where a piece fits better so.
-    Last the log-probability (C,) of the pieces of rays that met nothing, on the bare map.
-    """
+) -> _Told:
+    """Fit of readings at poses (C, 3), grid frame."""
     order, parts, _ = pieces(readings.ranges, readings.angles)
     density, distance = _endpoint_density(features, readings, poses, model)
     shifted, unmet = _shifted(features, readings, poses, model)
     if model.bent:
-        told = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
+        each = _bent_pieces(distance[:, order], parts, model, shifted[:, order])
     else:
-        told = _sums(np.log(density * _stands(shifted, model))[:, order], parts)
+        each = _sums(np.log(density * _stands(shifted, model))[:, order], parts)
     if features.furnished is not None:
-        seen = replace(readings, silent=None)
-        _, other, far, beyond, _ = _told(features.furnished, seen, poses, model)
+        other = _told(features.furnished, replace(readings, silent=None), poses, model)
         rather = np.empty(distance.shape, np.bool_)
-        rather[:, order] = np.repeat(other > told, _sizes(parts, len(order)), axis=1)
-        distance, shifted = np.where(rather, far, distance), np.where(rather, beyond, shifted)
-        told = np.logaddexp(told, other) - np.log(2)
-    total = told @ _counts(parts, len(order), model) if model.bent else told.sum(axis=1)
+        rather[:, order] = np.repeat(other.pieces > each, _sizes(parts, len(order)), axis=1)
+        distance = np.where(rather, other.distance, distance)
+        shifted = np.where(rather, other.shifted, shifted)
+        each = np.logaddexp(each, other.pieces) - np.log(2)
+    total = each @ _counts(parts, len(order), model) if model.bent else each.sum(axis=1)
     silence = np.zeros(len(poses))
     if readings.silent:
         order, parts, _ = pieces(readings.silent.ranges, readings.silent.angles)
         through = _sums(np.log(_stands(unmet, model))[:, order], parts)
         silence = np.logaddexp(through, -_PRICE).sum(axis=1)
-    return np.asarray(total), told, distance, shifted, silence
+    return _Told(np.asarray(total), each, distance, shifted, silence)
 
 
 def by_things(told: FloatArray, own: FloatArray, goes_on: BoolArray) -> FloatArray:
@@ -226,13 +231,10 @@ def by_things(told: FloatArray, own: FloatArray, goes_on: BoolArray) -> FloatArr
     return np.asarray(np.logaddexp(mapped, thing))
 
 
-def _whole(
-    total: FloatArray, told: FloatArray, own: FloatArray, goes_on: BoolArray, silence: FloatArray,
-    model: EvidenceModel,
-) -> FloatArray:  # fmt: skip
+def _whole(told: _Told, own: FloatArray, goes_on: BoolArray, model: EvidenceModel) -> FloatArray:
     """Log-likelihood (C,) of scans by things, and by rays that met nothing, nats."""
     # On bent walls all pieces are displaced or gone already.
-    return silence + (total if model.bent else by_things(told, own, goes_on))
+    return told.silence + (told.total if model.bent else by_things(told.pieces, own, goes_on))
 
 
 def things_of_their_own(parts: IntArray, n: int, model: EvidenceModel) -> FloatArray:

@@ -40,6 +40,12 @@ def test_a_kidnapping_joins_two_pieces_and_odometry_notices_nothing() -> None:
     np.testing.assert_allclose(np.diff(both.stamps), 2.0)
 
 
+def test_no_scan_of_a_robot_that_is_carried_back_is_the_same_to_the_bit() -> None:
+    first, _, again, _ = piece(line(), range(2, 4), range(2, 4)).scans
+    assert (first.ranges != again.ranges).all()
+    np.testing.assert_allclose(first.ranges, again.ranges, atol=0.01)
+
+
 def test_odometry_that_was_recorded_is_taken() -> None:
     recorded = line()
     assert with_odometry(recorded) == (recorded, "recorded")
