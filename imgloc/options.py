@@ -938,3 +938,30 @@ class Followed(Checked):
         parse=lambda text: Limits(*metres_degrees(text)),
     )
     seed: Seed = 0
+
+
+@dataclass(frozen=True)
+class PlanWalls:
+    """The way in which walls are drawn on a plan, and the cells that they become."""
+
+    cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
+        None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
+    )
+    thinnest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
+        None,
+        "Least thickness of a wall on an image, metres: thinner strokes are no walls. [default: "
+        "0.07]",
+    )
+    thickest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
+        None,
+        "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
+        "enclose a room. [default: found]",
+    )
+    gap: Annotated[float | None, Within(0, 30, "metres")] = option(
+        None, "Width of the widest outer door, metres. [default: found]"
+    )
+    ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
+        None,
+        "Darkness, against the paper around it, from which a pixel of an image is ink. [default: "
+        "found]",
+    )
