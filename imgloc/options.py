@@ -941,18 +941,18 @@ class Followed(Checked):
 
 
 @dataclass(frozen=True)
-class PlanWalls:
+class PlanWalls(Checked):
     """The way in which walls are drawn on a plan, and the cells that they become."""
 
     cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
         None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
     )
-    thinnest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
+    thinnest: Annotated[float | None, Within(0.005, 1, "metres")] = option(
         None,
         "Least thickness of a wall on an image, metres: thinner strokes are no walls. [default: "
         "0.07]",
     )
-    thickest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
+    thickest: Annotated[float | None, Within(0.05, 3, "metres")] = option(
         None,
         "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
         "enclose a room. [default: found]",
