@@ -27,7 +27,6 @@ LOCALIZE = ["localize", CURVED, "{}/../scans.npz", "--no-cache", "--threads", 1]
 SAMPLE = ["sample", CURVED, "{}/../scans.npz", "--out", "{}/p.csv", "--threads", 1]
 CHECK = ["map", "check", CURVED]
 DEMO = ["demo", "--map", "curved", "--out", "{}/d.png"]
-BOTH = r"on 130 x 160 cells of 0.1 m \((\d+) MiB\) with features of 130 x 160 cells \((\d+) MiB\)"
 
 
 @pytest.fixture(scope="module")
@@ -71,17 +70,6 @@ def test_within_the_budget_it_is_said_and_done(
     command: list[object], folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     check_done(command, folder, caplog)
-
-
-def test_features_and_answer_have_to_fit_together(folder: Path) -> None:
-    given = (*words(LOCALIZE, folder), "--method", "ght-v")
-    run = call(*given, "--memory-budget", "60M")
-    found = re.search(f"ght-v {BOTH}", run.err)
-    assert found is not None
-    answer, features = map(int, found.groups())
-    assert features > 4
-    call(*given, "--memory-budget", f"{answer + 1}M").ends(2, "ght-v on", out="")
-    assert call(*given, "--memory-budget", f"{answer + features}M").code == 0
 
 
 def test_which_leaves_out_maps_that_need_more(folder: Path) -> None:

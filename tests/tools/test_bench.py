@@ -93,26 +93,6 @@ def test_the_least_of_some_runs_in_c_counts(tmp_path):
     assert exhaustive_search(tmp_path, 1) == 6.5
 
 
-@needs_compiler
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [
-        ("int main(void) { return undeclared; }", "not compiled: "),
-        (
-            '#include <stdio.h>\nint main(void) { fputs("no map", stderr); return 3; }',
-            "ended with 3",
-        ),
-        ("int main(void) { return 0; }", "not understood: ''"),
-    ],
-)
-def test_a_search_that_is_not_known_says_why(tmp_path, source, expected):
-    (tmp_path / "floor").mkdir()
-    (tmp_path / "floor" / "cbml.c").write_text(source + "\n")
-    found = exhaustive_search(tmp_path, 1)
-    assert found.startswith(expected)
-    assert len(found) > len("not compiled: ")
-
-
 def test_the_first_answer_is_compared_with_the_median():
     summary = answer_summary([500.0, 100.0, 50.0, 50.0], 0.4)
     assert summary["prepare_s"] == 0.4
