@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.numbers import NUMBERS, Number
+from tools.vary import change
 
 # What decides answers is imported in `measure`, once the numbers are those of the step.
 
@@ -177,8 +177,7 @@ def measure(name: str, asking: Asking, pieces: Path) -> None:
     """
     step = STEPS.get(name, Step(""))
     for key, value in step.numbers.items():
-        old = NUMBERS[key]
-        NUMBERS[key] = Number(value, old.unit, old.source, old.costs)
+        change(key, value)
     for target, function in step.instead.items():
         home, _, attribute = target.rpartition(".")
         module, _, kind = home.rpartition(".") if home.endswith("Trust") else (home, "", "")
