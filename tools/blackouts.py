@@ -23,9 +23,9 @@ from imgloc.io.files import write_text_atomic
 from imgloc.model import LaserScan, Pose2D, to_json
 from imgloc.options import Every, Limits
 from imgloc.pipeline import prepare
-from tools.filters import WRONG, Run, Searches, drive, driven, piece
+from tools.filters import WRONG, KeptSearches, Run, Searches, drive, driven, piece
 from tools.script import parser_of, progress, table_lines
-from tools.sequences import KeptSearches, load_log
+from tools.sequences import load_log
 from tools.trust.precision import REGION
 
 BEFORE, AFTER, BACK = 8.0, 10.0, 5.0  # metres with sight before and after; to be found again within
