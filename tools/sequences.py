@@ -24,7 +24,7 @@ from imgloc.io.files import write_text_atomic
 from imgloc.model import LaserScan, OccupancyGrid, to_json
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
-from tools.filters import KeptSearches, Searches, Trials, measure
+from tools.filters import Searches, Trials, measure
 from tools.recorded import scans_in
 from tools.script import parser_of, progress, table_lines
 
@@ -109,8 +109,8 @@ def measure_log(
     kept: dict[str, tuple[ScanSet, Searches]] = {}
     for case in cases:
         if case.scans not in kept:
-            anew = Searches(fine, options) if keep is None else KeptSearches(fine, options, keep)
-            kept[case.scans] = changed(recorded, case.scans, trials.seed), anew
+            some = changed(recorded, case.scans, trials.seed)
+            kept[case.scans] = some, Searches(fine, options, keep)
         scans, searches = kept[case.scans]
         features = coarse if case.filter == "grid" else fine
         how = replace(trials, reset_by=case.reset_by)
@@ -119,8 +119,7 @@ def measure_log(
                 features, scans, case.filter, how, options, searches=searches, advance=advance
             )
         finally:  # who stops it goes on from there another day
-            if isinstance(searches, KeptSearches):
-                searches.save()
+            searches.save()
         about = {"map": folder.name, "filter": case.name}
         yield about | asdict(summary) | {"odometry": odometry}
 

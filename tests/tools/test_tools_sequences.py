@@ -19,7 +19,7 @@ from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools import blackouts, drive, old_maps, sequences
-from tools.filters import KeptSearches, Run, Searches, Trials, measure
+from tools.filters import Run, Searches, Trials, measure
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 4.0))
 
@@ -69,14 +69,14 @@ def test_searches_that_are_shared_change_nothing_but_the_time(folder: Path, tmp_
     expected = run(Forgets(features, Options()))
     assert len(done) > len(set(done))
     assert run(Searches(features, Options())) == expected
-    first = KeptSearches(features, Options(), tmp_path / "kept")
+    first = Searches(features, Options(), tmp_path / "kept")
     assert run(first) == expected
     first.save()
-    again = KeptSearches(features, Options(), tmp_path / "kept")
+    again = Searches(features, Options(), tmp_path / "kept")
     again.features = None  # type: ignore[assignment]  # of no use: nothing is searched
     assert run(again) == expected
     assert again.clock == first.clock > 0
-    other = KeptSearches(features, Options(top=1), tmp_path / "kept")
+    other = Searches(features, Options(top=1), tmp_path / "kept")
     other.features = None  # type: ignore[assignment]
     with pytest.raises(AttributeError):
         other(log[0])
