@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from budgets import check_done, check_refused, words
-from command import MAPS, call
+from command import MAPS, call, simulating
 
 from imgloc.io.images import image_size
 from imgloc.io.scans import load_scans, scans_size
@@ -29,12 +29,7 @@ CHECK = ["map", "check", CURVED]
 DEMO = ["demo", "--map", "curved", "--out", "{}/d.png"]
 
 
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scans and their poses."""
-    path = tmp_path_factory.mktemp("simulated") / "scans.npz"
-    assert call("simulate", CURVED, "-n", 2, "--rays", 61, "--out", path).code == 0
-    return path
+simulated = simulating(CURVED, "-n", 2, "--rays", 61)
 
 
 @pytest.fixture

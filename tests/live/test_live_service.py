@@ -23,7 +23,7 @@ import httpx
 import numpy as np
 import pytest
 from badfiles import YAML, png, room
-from command import MAPS, call, rows, untimed
+from command import MAPS, call, rows, simulating, untimed
 from serving import Served, served, waits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -42,11 +42,7 @@ STILL = {"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07, "rang
 LINE = json.dumps(STILL)
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scans") / "scans.npz"
-    assert call("simulate", MAP, "-n", 3, "--seed", 4, "--out", path).code == 0
-    return path
+scans = simulating(MAP, "-n", 3, "--seed", 4)
 
 
 @pytest.fixture(scope="module")
