@@ -2,9 +2,12 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+
+import numpy as np
 
 from imgloc.cli import console
 from imgloc.errors import ConfigError, ImglocError, OutputError
@@ -57,6 +60,22 @@ def progress(title: str, total: int) -> AbstractContextManager[Callable[..., Non
     What it yields is to be called after each of `total` steps.
     """
     return console.progress(title, total, lines=False)
+
+
+def take_turns(
+    runs: Sequence[Callable[[], object]],
+    repeats: int,
+    clock: Callable[[], float] = time.thread_time,
+) -> tuple[float, ...]:
+    """Median seconds of each run; in every other round they come in the opposite order."""
+    times: list[list[float]] = [[] for _ in runs]
+    for k in range(repeats):
+        order = range(len(runs)) if k % 2 == 0 else reversed(range(len(runs)))
+        for i in order:
+            start = clock()
+            runs[i]()
+            times[i].append(clock() - start)
+    return tuple(float(np.median(t)) for t in times)
 
 
 def table_lines(head: str, rows: Iterable[Iterable[object]], rule: str = "---") -> Iterator[str]:

@@ -21,8 +21,8 @@ from tools.paper.table import (
     place,
     stack_of,
     table,
-    take_turns,
 )
+from tools.script import take_turns
 
 
 @pytest.fixture(scope="module")
