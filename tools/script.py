@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-import numpy as np
-
 from imgloc.cli import console
 from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.io.files import refuse_existing
@@ -65,9 +63,9 @@ def progress(title: str, total: int) -> AbstractContextManager[Callable[..., Non
 def take_turns(
     runs: Sequence[Callable[[], object]],
     repeats: int,
-    clock: Callable[[], float] = time.thread_time,
-) -> tuple[float, ...]:
-    """Median seconds of each run; in every other round they come in the opposite order."""
+    clock: Callable[[], float] = time.perf_counter,
+) -> tuple[tuple[float, ...], ...]:
+    """Seconds of each run, each time; in every other round they come in the opposite order."""
     times: list[list[float]] = [[] for _ in runs]
     for k in range(repeats):
         order = range(len(runs)) if k % 2 == 0 else reversed(range(len(runs)))
@@ -75,7 +73,7 @@ def take_turns(
             start = clock()
             runs[i]()
             times[i].append(clock() - start)
-    return tuple(float(np.median(t)) for t in times)
+    return tuple(map(tuple, times))
 
 
 def table_lines(head: str, rows: Iterable[Iterable[object]], rule: str = "---") -> Iterator[str]:

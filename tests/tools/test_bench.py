@@ -58,7 +58,7 @@ def test_cases_take_turns():
         [("a", "call", 2, lambda: calls.append("a")), ("b", "call", 1, lambda: calls.append("b"))],
         3,
     )
-    assert "".join(calls) == "abababab"
+    assert "".join(calls) == "ababbaab"
     assert [len(t.seconds) for t in timings] == [3, 3]
     assert timings[0].cost == pytest.approx(1e9 * timings[0].median / 2)
     with pytest.raises(ConfigError):

@@ -285,7 +285,7 @@ def measure_ratios(
                 run()
             times = []
             for pair in runs:
-                times.append(take_turns(pair, repeats))
+                times.append(np.median(take_turns(pair, repeats, time.thread_time), axis=1))
                 advance()
             ours, theirs = np.array(times).T
             out.append(
