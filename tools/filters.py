@@ -24,7 +24,6 @@ from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
 from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
-from imgloc.geometry import wrap
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import Share, share
@@ -32,7 +31,7 @@ from imgloc.live.policy import LastPose
 from imgloc.live.settings import Settings
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Every, Options
-from tools.trust.precision import REGION, TRUTH
+from tools.trust.precision import REGION, TRUTH, difference, squared
 
 RIGHT = (0.5, float(np.deg2rad(10.0)))
 """A pose is right if it is within this, metres and radians."""
@@ -143,11 +142,10 @@ def drive(
         error, spread, square = (np.inf, np.inf), (np.inf, np.inf), np.inf
         if moment.best is not None:
             best = np.array([moment.best.x, moment.best.y, moment.best.theta])
-            apart = best - truth[moment.index]
-            apart[2] = wrap(apart[2])
+            apart = difference(best, truth[moment.index])
             error = float(np.hypot(*apart[:2])), abs(float(apart[2]))
             spread = deviations_of(moment.covariance)
-            square = float(apart @ np.linalg.solve(moment.covariance + own, apart))
+            square = squared(apart, moment.covariance + own)
         verdict = moment.belief.verdict
         holds = last.take(moment, sure=verdict == UNIQUE, longest=Settings().max_age)
         rows.append((
