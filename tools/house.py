@@ -20,7 +20,7 @@ from typer.main import get_command
 
 from imgloc.cli.app import program
 from imgloc.numbers import NUMBERS
-from tools.script import parser_of, table_lines
+from tools.script import parser_of, show, table_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
@@ -172,8 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name, some in groups.items()
     }
     head = "room | files | lines | code | numbers"
-    for line in table_lines(head, ((k, len(groups[k]), *v) for k, v in sums.items())):
-        print(line)
+    show(table_lines(head, ((k, len(groups[k]), *v) for k, v in sums.items())))
     long = sorted(((n, f.path, name) for f in files for name, n in f.functions), reverse=True)
     for n, path, name in long[: given.longest]:
         print(f"{n} lines of code: {name} in {path}")
@@ -199,8 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cells = (
         (*row, "above" if row[1] > row[2] else "goal" if row[1] > row[3] else "met") for row in rows
     )
-    for line in table_lines("what | is | limit | goal | so", cells):
-        print(line)
+    show(table_lines("what | is | limit | goal | so", cells))
     return int(any(is_ > limit for _, is_, limit, _ in rows))
 
 

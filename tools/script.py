@@ -76,6 +76,13 @@ def take_turns(
     return tuple(map(tuple, times))
 
 
+def show(lines: Iterable[str]) -> int:
+    """Print lines, each as soon as it is there; the exit code of that."""
+    for line in lines:
+        print(line, flush=True)
+    return 0
+
+
 def table_lines(head: str, rows: Iterable[Iterable[object]], rule: str = "---") -> Iterator[str]:
     r"""The lines of a Markdown table, each as soon as its row is there.
 
