@@ -543,8 +543,11 @@ class Tolerance(Checked):
     heading: Radians
 
 
-TOLERANCES = tuple(Tolerance(*number(f"tolerances.{name}")) for name in ("usual", "cartographer"))
-"""Those that are always reported; the second is that of Cartographer's comparison."""
+TOLERANCES = Tolerance(0.25, 0.25), Tolerance(0.5, math.radians(10))
+"""Those that are always reported; the second is that of Cartographer's comparison.
+
+No answer depends on them.
+"""
 
 
 @dataclass(frozen=True)
@@ -938,3 +941,30 @@ class Followed(Checked):
         parse=lambda text: Limits(*metres_degrees(text)),
     )
     seed: Seed = 0
+
+
+@dataclass(frozen=True)
+class PlanWalls(Checked):
+    """The way in which walls are drawn on a plan, and the cells that they become."""
+
+    cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
+        None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
+    )
+    thinnest: Annotated[float | None, Within(0.005, 1, "metres")] = option(
+        None,
+        "Least thickness of a wall on an image, metres: thinner strokes are no walls. [default: "
+        "0.07]",
+    )
+    thickest: Annotated[float | None, Within(0.05, 3, "metres")] = option(
+        None,
+        "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
+        "enclose a room. [default: found]",
+    )
+    gap: Annotated[float | None, Within(0, 30, "metres")] = option(
+        None, "Width of the widest outer door, metres. [default: found]"
+    )
+    ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
+        None,
+        "Darkness, against the paper around it, from which a pixel of an image is ink. [default: "
+        "found]",
+    )

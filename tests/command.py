@@ -48,6 +48,18 @@ def call(*arguments: object) -> Run:
     return run(main, *arguments)
 
 
+def simulating(*words: object, name: str = "scans.npz") -> Any:
+    """A fixture: the file of scans that `imgloc simulate` makes of these words, once a module."""
+
+    @pytest.fixture(scope="module")
+    def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+        path = tmp_path_factory.mktemp("scans") / name
+        call("simulate", *words, "--out", path).ends(0)
+        return path
+
+    return scans
+
+
 def fed(text: str, *arguments: object) -> Run:
     """Run imgloc's main() here, with a text that comes through a pipe as standard input."""
     end, begin = os.pipe()

@@ -5,10 +5,12 @@ import os
 import select
 import signal
 import subprocess
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import httpx
 from command import command
 
 
@@ -23,6 +25,13 @@ class Served:
     def port(self) -> int:
         return int(self.address.rpartition(":")[2])
 
+    @property
+    def track(self) -> str:
+        return f"ws://127.0.0.1:{self.port}/v1/track"
+
+    def metrics(self) -> str:
+        return httpx.get(f"{self.address}/metrics", timeout=60).text
+
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
         """End it by a signal; its exit code, and what it has said."""
         if self.process.poll() is None:
@@ -33,6 +42,14 @@ class Served:
             self.process.kill()
             raise
         return self.process.returncode, err
+
+
+def waits(there: Callable[[], object]) -> None:
+    """Wait until something is there, for a minute at most."""
+    until = time.monotonic() + 60
+    while not there():
+        assert time.monotonic() < until
+        time.sleep(0.02)
 
 
 @contextlib.contextmanager

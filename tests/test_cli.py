@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from command import MAPS, ROOT, call, command, parsed, rows, spawn
+from command import MAPS, ROOT, call, command, parsed, rows, simulating, spawn
 
 import imgloc
 from imgloc.__main__ import main as imgloc_command
@@ -33,12 +33,7 @@ from imgloc.options import ALL_METHODS, Options, Reading
 from imgloc.ranges import OneOf, declared
 from imgloc.simulation.worlds import WORLDS
 
-
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("cli") / "scans.npz"
-    assert call("simulate", MAPS / "curved.yaml", "-n", 40, "--rays", 40, "--out", path).code == 0
-    return path
+scans = simulating(MAPS / "curved.yaml", "-n", 40, "--rays", 40)
 
 
 @pytest.mark.parametrize("name", [name for group in app._GROUPS.values() for name in group])

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from budgets import check_done, check_refused, words
-from command import MAPS, call
+from command import MAPS, call, simulating
 
 from imgloc.io.images import image_size
 from imgloc.io.scans import load_scans, scans_size
@@ -27,15 +27,9 @@ LOCALIZE = ["localize", CURVED, "{}/../scans.npz", "--no-cache", "--threads", 1]
 SAMPLE = ["sample", CURVED, "{}/../scans.npz", "--out", "{}/p.csv", "--threads", 1]
 CHECK = ["map", "check", CURVED]
 DEMO = ["demo", "--map", "curved", "--out", "{}/d.png"]
-BOTH = r"on 130 x 160 cells of 0.1 m \((\d+) MiB\) with features of 130 x 160 cells \((\d+) MiB\)"
 
 
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scans and their poses."""
-    path = tmp_path_factory.mktemp("simulated") / "scans.npz"
-    assert call("simulate", CURVED, "-n", 2, "--rays", 61, "--out", path).code == 0
-    return path
+simulated = simulating(CURVED, "-n", 2, "--rays", 61)
 
 
 @pytest.fixture
@@ -71,17 +65,6 @@ def test_within_the_budget_it_is_said_and_done(
     command: list[object], folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     check_done(command, folder, caplog)
-
-
-def test_features_and_answer_have_to_fit_together(folder: Path) -> None:
-    given = (*words(LOCALIZE, folder), "--method", "ght-v")
-    run = call(*given, "--memory-budget", "60M")
-    found = re.search(f"ght-v {BOTH}", run.err)
-    assert found is not None
-    answer, features = map(int, found.groups())
-    assert features > 4
-    call(*given, "--memory-budget", f"{answer + 1}M").ends(2, "ght-v on", out="")
-    assert call(*given, "--memory-budget", f"{answer + features}M").code == 0
 
 
 def test_which_leaves_out_maps_that_need_more(folder: Path) -> None:

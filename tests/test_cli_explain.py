@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call
+from command import MAPS, call, simulating
 
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
@@ -13,11 +13,7 @@ from imgloc.model import LaserScan
 CURVED = MAPS / "curved.yaml"
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("cli") / "two & <b>.npz"
-    assert call("simulate", CURVED, "-n", 2, "--out", path).code == 0
-    return path
+scans = simulating(CURVED, "-n", 2, name="two & <b>.npz")
 
 
 def test_one_scan_is_one_page(scans: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, rows, spawn
+from command import MAPS, call, rows, simulating, spawn
 from places import room_with_a_post
 
 from imgloc.io.maps import save_map
@@ -20,11 +20,7 @@ from imgloc.simulation.scans import simulate
 OFF = "--no-cache"
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scans") / "a.npz"
-    assert call("simulate", "curved", "-n", 2, "--seed", 5, "--out", path).code == 0
-    return path
+scans = simulating("curved", "-n", 2, "--seed", 5, name="a.npz")
 
 
 def through_stdin(monkeypatch: pytest.MonkeyPatch, data: bytes, *arguments: object):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, rows, spawn, untimed
+from command import MAPS, call, rows, simulating, spawn, untimed
 
 import imgloc
 from imgloc.geometry import transform_poses
@@ -33,11 +33,7 @@ KEYS = [
 KEYS += ["timings_ms", "parameters"]
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("cli") / "scans.npz"
-    assert call("simulate", CURVED, "-n", 3, "--out", path, "--dropped", 0.1).code == 0
-    return path
+scans = simulating(CURVED, "-n", 3, "--dropped", 0.1)
 
 
 def test_simulate_writes_what_it_was_asked_for(tmp_path: Path) -> None:

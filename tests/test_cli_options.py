@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, call, rows, untimed
+from command import MAPS, call, rows, simulating, untimed
 
 from imgloc.errors import ConfigError
 from imgloc.io.files import write_bytes_atomic
@@ -17,11 +17,7 @@ from imgloc.texts import byte_count
 WORLD = MAPS / "visibility.yaml"  # 140 x 200 cells of 0.1 m
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("options") / "scans.npz"
-    assert call("simulate", WORLD, "-n", 3, "--seed", 4, "--out", path).code == 0
-    return path
+scans = simulating(WORLD, "-n", 3, "--seed", 4)
 
 
 def first(scans: Path, *options: object) -> dict:

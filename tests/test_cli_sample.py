@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call
+from command import MAPS, call, simulating
 
 from imgloc.geometry import wrap
 from imgloc.io.maps import load_map, save_map
@@ -15,12 +15,7 @@ from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 CURVED = MAPS / "curved.yaml"
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("cli") / "scans.npz"
-    words = ("--rays", 181, "--fov-deg", 360, "--seed", 2)
-    assert call("simulate", CURVED, "-n", 2, *words, "--out", path).code == 0
-    return path
+scans = simulating(CURVED, "-n", 2, "--rays", 181, "--fov-deg", 360, "--seed", 2)
 
 
 def drawn(*words: object) -> np.ndarray:

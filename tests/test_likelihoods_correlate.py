@@ -24,16 +24,6 @@ def random_case(seed, shape=(7, 10), n=12, reach=0.7):
 
 
 @every_engine
-@pytest.mark.parametrize("shape", [(6, 8), (5, 7), (9, 4), (1, 6), (5, 1), (1, 1)])
-def test_equals_algorithm_1(engine, shape):
-    image, xy = random_case(1, shape, n=30, reach=0.6)
-    thetas = np.array([0.0, 0.3, -2.0, 3.0, 7.0])
-    expected = naive.cbml(image, xy, thetas, 0.1)
-    assert expected.max() > 100
-    np.testing.assert_array_equal(correlate(image, xy, thetas, 0.1, engine=engine), expected)
-
-
-@every_engine
 @pytest.mark.parametrize("k", [1, 3, 4, 6])
 def test_full_circle_equals_algorithm_2(engine, k):
     image, xy = random_case(k)
@@ -287,7 +277,7 @@ def test_tiles_cover_every_pose_once():
         assert (covered == 1).all()
 
 
-@settings(max_examples=40)
+@settings(max_examples=60)
 @given(seeds, st.sampled_from(EXACT), st.integers(1, 9), st.integers(1, 9))
 def test_random_cases_equal_the_listing(seed, engine, height, width):
     image, xy = random_case(seed, (height, width), reach=1.2)

@@ -29,7 +29,7 @@ LEFT = {
         " ALLOWED_ERROR _STEPS _MINUTE _FAR _erfc"
     ),
     "a unit, a pattern, nothing at all": ("_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"),
-    "a promise": "SCALES SHARES DEEPEST",
+    "a promise": "SCALES SHARES DEEPEST TOLERANCES",
     "bounds of files, pictures, clocks": (
         "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),

@@ -31,6 +31,7 @@ from imgloc.options import (
     Method,
     Mounting,
     Options,
+    PlanWalls,
     Prior,
     Sensor,
     Shared,
@@ -41,7 +42,7 @@ from imgloc.ranges import Checked
 from imgloc.runs.jobs import make_job
 from imgloc.runs.opening import ScanFiles
 
-SHOWN = (Chosen, Drawn, Every, Followed, Known, Limits, Logs, Mounting, Sensor)
+SHOWN = (Chosen, Drawn, Every, Followed, Known, Limits, Logs, Mounting, PlanWalls, Sensor)
 KINDS = (Bending, Calibration, EvidenceModel, FusedOptions, Hint, Options, Prior, Shared, Trust)
 OTHERS = (GridOptions, MotionNoise, ParticleOptions, TrackerOptions, ScanFiles)
 
@@ -113,7 +114,7 @@ def test_no_number_of_options_may_be_nan(kind: type) -> None:
             asked += 1
             with pytest.raises(ConfigError, match=rf"{kind.__name__}\.{part.name}: got nan"):
                 kind(**{part.name: math.nan})
-    assert asked or kind in (Prior, Drawn, Known, Mounting)
+    assert asked or kind in (Prior, Drawn, Known, Mounting, PlanWalls)
 
 
 def test_all_options_are_checked() -> None:

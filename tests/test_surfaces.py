@@ -19,6 +19,7 @@ from imgloc.ranges import Declared, OneOf, Within, declared, help_of
 KINDS = (
     options.Options, options.Known, options.Logs, options.Mounting, options.Drawn, options.Chosen,
     options.Sensor, options.Followed, options.Reading, bounds.Bounds, settings.Settings,
+    options.PlanWalls,
 )  # fmt: skip
 #: Parameters of requests that no command has: names and ids, one scan of what was sent, a pose.
 OWN = {"map", "scans", "name", "topic", "index", "pose", "scale", "thinner", "bent", "allow_lossy",

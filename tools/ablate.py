@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.numbers import NUMBERS, Number
+from tools.vary import change
 
 # What decides answers is imported in `measure`, once the numbers are those of the step.
 
@@ -177,8 +177,7 @@ def measure(name: str, asking: Asking, pieces: Path) -> None:
     """
     step = STEPS.get(name, Step(""))
     for key, value in step.numbers.items():
-        old = NUMBERS[key]
-        NUMBERS[key] = Number(value, old.unit, old.source, old.costs)
+        change(key, value)
     for target, function in step.instead.items():
         home, _, attribute = target.rpartition(".")
         module, _, kind = home.rpartition(".") if home.endswith("Trust") else (home, "", "")
@@ -203,11 +202,11 @@ def _answers(asking: Asking, weighs: bool, keep: bool, pieces: Path) -> Iterator
     import time
 
     from imgloc import pipeline
-    from imgloc.geometry import pose_errors, wrap
+    from imgloc.geometry import pose_errors, poses_of
     from imgloc.model import Pose2D
     from imgloc.options import Options
     from imgloc.search.priors import prior_of
-    from tools.trust.precision import REGION, TRUTH
+    from tools.trust.precision import REGION, TRUTH, difference, squared
 
     stored, file = list[Any](), pieces / "searches.pickle"
     search: Any = pipeline.find_adapted_modes
@@ -229,15 +228,13 @@ def _answers(asking: Asking, weighs: bool, keep: bool, pieces: Path) -> Iterator
         if pose is None or not answer.hypotheses:
             yield Asked(name, condition, False, False, answer.verdict, None, ms)
             continue
-        poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in answer.hypotheses])
+        poses = poses_of(answer.hypotheses)
         errors = pose_errors(poses, Pose2D(*pose))
         near = np.all(errors <= (RIGHT[0], np.deg2rad(RIGHT[1])), axis=1)
         inside = None
         if near[0] and answer.verdict == "unique":
-            off = poses[0] - pose
-            off[2] = wrap(off[2])
             wide = answer.hypotheses[0].covariance + np.diag(np.square(TRUTH))
-            inside = bool(off @ np.linalg.solve(wide, off) <= REGION)
+            inside = squared(difference(poses[0], pose), wide) <= REGION
         yield Asked(name, condition, bool(near[0]), bool(near.any()), answer.verdict, inside, ms)
     if keep:
         file.write_bytes(pickle.dumps(stored))

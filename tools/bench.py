@@ -55,7 +55,7 @@ from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, to_json
 from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import recorded_sets
-from tools.script import at_least_one, ended, one_of, parser_of, table_lines
+from tools.script import at_least_one, ended, one_of, parser_of, table_lines, take_turns
 
 PARTS = ("costs", "localize", "command", "huge")
 """Stacks and votes beside plain references; answers, beside a search in C; the command from a warm
@@ -235,9 +235,7 @@ Case = tuple[str, str, float, Callable[[], object]]
 """Name, unit, units of work of a call, the call."""
 
 
-def in_turns(
-    cases: Sequence[Case], repeats: int, clock: Callable[[], float] = time.perf_counter
-) -> tuple[Timing, ...]:
+def in_turns(cases: Sequence[Case], repeats: int) -> tuple[Timing, ...]:
     """Time cases, each in turn, after one call of each that does not count.
 
     A clock of the process does not run while others do, but runs twice as fast for two threads.
@@ -249,15 +247,11 @@ def in_turns(
     ('nothing', 3)
     """
     at_least_one(repeats=repeats)
-    for *_, call in cases:
+    calls = [call for *_, call in cases]
+    for call in calls:
         call()
-    seconds: dict[str, list[float]] = {name: [] for name, *_ in cases}
-    for _ in range(repeats):
-        for name, _, _, call in cases:
-            start = clock()
-            call()
-            seconds[name].append(clock() - start)
-    return tuple(Timing(name, unit, work, tuple(seconds[name])) for name, unit, work, _ in cases)
+    taken = zip(cases, take_turns(calls, repeats), strict=True)
+    return tuple(Timing(name, unit, work, seconds) for (name, unit, work, _), seconds in taken)
 
 
 def as_row(timing: Timing) -> dict[str, object]:

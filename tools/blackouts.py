@@ -25,7 +25,7 @@ from imgloc.options import Every, Limits
 from imgloc.pipeline import prepare
 from tools.filters import WRONG, Run, Searches, drive, driven, piece
 from tools.script import parser_of, progress, table_lines
-from tools.sequences import KeptSearches, load_log
+from tools.sequences import load_log
 from tools.trust.precision import REGION
 
 BEFORE, AFTER, BACK = 8.0, 10.0, 5.0  # metres with sight before and after; to be found again within
@@ -143,9 +143,7 @@ def measure_log(
         start = Pose2D(*poses[0])
         return drive(features, some, make, Every(), searches, start=start), blind
 
-    searches: Searches = (
-        Searches(features, options) if keep is None else KeptSearches(features, options, keep)
-    )
+    searches = Searches(features, options, keep)
 
     def make() -> Filter:
         return make_filter("tracker", features, options, seed=seed, find=searches)
@@ -160,8 +158,7 @@ def measure_log(
         runs = [run(*one, kind) for one in carried(scans, count, rng)]
         if runs:
             yield row_of(folder.name, kind, "carried 10 s", runs)
-        if isinstance(searches, KeptSearches):
-            searches.save()
+        searches.save()
 
 
 HEAD = (

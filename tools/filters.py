@@ -6,13 +6,17 @@ shares of right poses against metres driven, and the rules of ENM-MCL, F3Loc, an
 Thrun (JAIR 11).
 """
 
+import hashlib
+import io
 import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+import imgloc
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
@@ -20,14 +24,14 @@ from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
 from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
-from imgloc.geometry import wrap
+from imgloc.io.files import write_bytes_atomic
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import Share, share
 from imgloc.live.policy import LastPose
 from imgloc.live.settings import Settings
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Every, Options
-from tools.trust.precision import REGION, TRUTH
+from tools.trust.precision import REGION, TRUTH, difference, squared
 
 RIGHT = (0.5, float(np.deg2rad(10.0)))
 """A pose is right if it is within this, metres and radians."""
@@ -66,27 +70,57 @@ class Run:
 class Searches:
     """Searches of scans, each done only once, because a search does not depend on the belief.
 
-    The clock counts a repeated search as if it were done again.
+    The clock counts a repeated search as if it were done again. They are most of the work: in a
+    `folder` they are kept for another day. What was found by other code, on another map or with
+    other options is not taken for them.
     """
 
-    def __init__(self, features: MapFeatures, options: Options) -> None:
+    def __init__(self, features: MapFeatures, options: Options, folder: Path | None = None) -> None:
         self.features, self.options = features.thinner(options.shared.thinner), options
         self.clock = 0.0  #: processor seconds of all searches, repeated ones included
-        self._kept: dict[int, tuple[LaserScan, Places, float]] = {}
+        self._kept: dict[str, FloatArray] = {}  # by digest of a scan: seconds, and its places
+        self._file = folder and folder / f"{_digest(features.grid, options)}.npz"
+        if self._file is not None and self._file.exists():
+            with np.load(self._file) as old:
+                self._kept = dict(old)
 
     def __call__(self, scan: LaserScan) -> Places:
         """The places of a scan."""
-        if id(scan) not in self._kept:
-            self._kept[id(scan)] = scan, *self.anew(scan)
-        _, places, seconds = self._kept[id(scan)]
-        self.clock += seconds
-        return places
+        limits = np.array([scan.range_min, scan.range_max])
+        content = b"".join(a.tobytes() for a in (scan.ranges, scan.angles, limits))
+        key = hashlib.sha256(content).hexdigest()
+        if key not in self._kept:
+            places, seconds = self.anew(scan)
+            rows = np.column_stack((places.poses, places.spread.reshape(-1, 9)))
+            self._kept[key] = np.vstack((np.full(12, seconds), rows))
+        rows = self._kept[key][1:]
+        self.clock += float(self._kept[key][0, 0])
+        return Places(rows[:, :3], rows[:, 3:].reshape(-1, 3, 3))
 
     def anew(self, scan: LaserScan) -> tuple[Places, float]:
         """Search a scan anew: its places, and the processor seconds of the search."""
         start = time.process_time()
         places = search(self.features, scan, self.options)
         return places, time.process_time() - start
+
+    def save(self) -> None:
+        """Keep what was found, with the time that it took, if there is a folder for it."""
+        if self._file is not None:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            buffer = io.BytesIO()
+            np.savez(buffer, allow_pickle=False, **self._kept)
+            write_bytes_atomic(self._file, buffer.getvalue(), force=True)
+
+
+def _digest(grid: OccupancyGrid, options: Options) -> str:
+    """What a search depends on but its scan: the code, the map and the options."""
+    package, rooms = Path(imgloc.__file__).parent, ("features", "likelihoods", "search")
+    code = [path for room in rooms for path in sorted((package / room).glob("*.py"))]
+    code += [package / "pipeline.py", package / "options.py"]
+    about = repr((options, grid.info, Places.__match_args__)).encode()
+    about += grid.occupied.tobytes() + grid.free.tobytes()
+    about += b"".join(path.read_bytes() for path in code)
+    return hashlib.sha256(about).hexdigest()[:20]
 
 
 def drive(
@@ -108,11 +142,10 @@ def drive(
         error, spread, square = (np.inf, np.inf), (np.inf, np.inf), np.inf
         if moment.best is not None:
             best = np.array([moment.best.x, moment.best.y, moment.best.theta])
-            apart = best - truth[moment.index]
-            apart[2] = wrap(apart[2])
+            apart = difference(best, truth[moment.index])
             error = float(np.hypot(*apart[:2])), abs(float(apart[2]))
             spread = deviations_of(moment.covariance)
-            square = float(apart @ np.linalg.solve(moment.covariance + own, apart))
+            square = squared(apart, moment.covariance + own)
         verdict = moment.belief.verdict
         holds = last.take(moment, sure=verdict == UNIQUE, longest=Settings().max_age)
         rows.append((

@@ -39,7 +39,7 @@ from imgloc.model import BoolArray, FloatArray, compose, inverse
 from imgloc.numbers import number
 from imgloc.simulation.scans import ray_angles, sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
-from tools.script import ended, parser_of, table_lines
+from tools.script import ended, parser_of, show, table_lines
 from tools.trust.disturb import dilated
 
 FINE, CELL = 0.02, 0.1  # metres: cells of a world, and of its map
@@ -290,14 +290,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_intermixed_args(arguments)
 
     def work() -> int:
-        lines = (
-            align(given.maps, given.pairs, given.seed)
-            if given.what == "align"
-            else changes(given.worlds, given.scans, given.seed)
-        )
-        for line in lines:
-            print(line, flush=True)
-        return 0
+        if given.what == "align":
+            return show(align(given.maps, given.pairs, given.seed))
+        return show(changes(given.worlds, given.scans, given.seed))
 
     return ended("tools.maps", work)
 

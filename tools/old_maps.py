@@ -31,7 +31,7 @@ from imgloc.options import TOLERANCES, Chosen, Every, Shared
 from imgloc.pipeline import prepare
 from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.recorded import logs_of
-from tools.script import at_least_one, ended, parser_of, table_lines
+from tools.script import at_least_one, ended, parser_of, show, table_lines
 
 RIGHT = 1.0  # metres
 HIT = TOLERANCES[-1]  # of one scan
@@ -120,15 +120,11 @@ def main() -> int:
         if given.one_scan is not None:
             at_least_one(one_scan=given.one_scan)
             ones = (one_scan_rows(f, given.one_scan, given.seed) for f in given.folders)
-            for line in table_lines(ONE, chain.from_iterable(ones)):
-                print(line, flush=True)
-            return 0
+            return show(table_lines(ONE, chain.from_iterable(ones)))
         at_least_one(starts=given.starts)
         how = {"calibrated": given.calibrated}
         rows = (row.cells for f in given.folders for row in rows_of(f, given.starts, **how))
-        for line in table_lines(HEAD, rows):
-            print(line, flush=True)
-        return 0
+        return show(table_lines(HEAD, rows))
 
     return ended("tools.old_maps", work)
 

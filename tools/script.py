@@ -2,7 +2,8 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -57,6 +58,29 @@ def progress(title: str, total: int) -> AbstractContextManager[Callable[..., Non
     What it yields is to be called after each of `total` steps.
     """
     return console.progress(title, total, lines=False)
+
+
+def take_turns(
+    runs: Sequence[Callable[[], object]],
+    repeats: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> tuple[tuple[float, ...], ...]:
+    """Seconds of each run, each time; in every other round they come in the opposite order."""
+    times: list[list[float]] = [[] for _ in runs]
+    for k in range(repeats):
+        order = range(len(runs)) if k % 2 == 0 else reversed(range(len(runs)))
+        for i in order:
+            start = clock()
+            runs[i]()
+            times[i].append(clock() - start)
+    return tuple(map(tuple, times))
+
+
+def show(lines: Iterable[str]) -> int:
+    """Print lines, each as soon as it is there; the exit code of that."""
+    for line in lines:
+        print(line, flush=True)
+    return 0
 
 
 def table_lines(head: str, rows: Iterable[Iterable[object]], rule: str = "---") -> Iterator[str]:

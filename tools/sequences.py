@@ -9,8 +9,6 @@ It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), a
 log over its map. *Localized* is what ``~/status`` of ``imgloc node`` says.
 """
 
-import hashlib
-import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
@@ -19,13 +17,11 @@ from typing import Any
 
 import numpy as np
 
-import imgloc
-from imgloc import MapFeatures, Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
-from imgloc.filters.evidence import Places
+from imgloc import Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
-from imgloc.io.files import write_bytes_atomic, write_text_atomic
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid, to_json
+from imgloc.io.files import write_text_atomic
+from imgloc.model import LaserScan, OccupancyGrid, to_json
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
 from tools.filters import Searches, Trials, measure
@@ -95,48 +91,6 @@ def changed(scans: ScanSet, how: str, seed: int) -> ScanSet:
     return replace(scans, scans=tuple(_CHANGES[how](scan, rng) for scan in scans.scans))
 
 
-class KeptSearches(Searches):
-    """Searches that are kept in a folder for another day: they are most of the work.
-
-    What was found by other code, on another map or with other options is not taken for them.
-    """
-
-    def __init__(self, features: MapFeatures, options: Options, folder: Path) -> None:
-        super().__init__(features, options)
-        grid, package = features.grid, Path(imgloc.__file__).parent
-        rooms = ("features", "likelihoods", "search")
-        code = [path for room in rooms for path in sorted((package / room).glob("*.py"))]
-        code += [package / "pipeline.py", package / "options.py"]
-        about = repr((options, grid.info, Places.__match_args__)).encode()
-        about += grid.occupied.tobytes() + grid.free.tobytes()
-        about += b"".join(path.read_bytes() for path in code)
-        self._file = folder / f"{hashlib.sha256(about).hexdigest()[:20]}.npz"
-        self._old: dict[str, FloatArray] = {}
-        if self._file.exists():
-            with np.load(self._file) as old:
-                self._old = dict(old)
-
-    def anew(self, scan: LaserScan) -> tuple[Places, float]:
-        """Search a scan unless it was done on another day."""
-        limits = np.array([scan.range_min, scan.range_max])
-        content = b"".join(a.tobytes() for a in (scan.ranges, scan.angles, limits))
-        key = hashlib.sha256(content).hexdigest()
-        if key not in self._old:
-            places, seconds = super().anew(scan)
-            rows = np.column_stack((places.poses, places.spread.reshape(-1, 9)))
-            self._old[key] = np.vstack((np.full(12, seconds), rows))
-        rows = self._old[key][1:]
-        places = Places(rows[:, :3], rows[:, 3:].reshape(-1, 3, 3))
-        return places, float(self._old[key][0, 0])
-
-    def save(self) -> None:
-        """Keep what was found, with the time that it took."""
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **self._old)
-        write_bytes_atomic(self._file, buffer.getvalue(), force=True)
-
-
 def load_log(folder: Path, seed: int = 0) -> tuple[OccupancyGrid, ScanSet, str]:
     """A map, scans of the sensor where it sits, with odometry, and where that is from."""
     return load_map(folder / "map.yaml"), *with_odometry(scans_in(folder), seed)
@@ -155,8 +109,8 @@ def measure_log(
     kept: dict[str, tuple[ScanSet, Searches]] = {}
     for case in cases:
         if case.scans not in kept:
-            anew = Searches(fine, options) if keep is None else KeptSearches(fine, options, keep)
-            kept[case.scans] = changed(recorded, case.scans, trials.seed), anew
+            some = changed(recorded, case.scans, trials.seed)
+            kept[case.scans] = some, Searches(fine, options, keep)
         scans, searches = kept[case.scans]
         features = coarse if case.filter == "grid" else fine
         how = replace(trials, reset_by=case.reset_by)
@@ -165,8 +119,7 @@ def measure_log(
                 features, scans, case.filter, how, options, searches=searches, advance=advance
             )
         finally:  # who stops it goes on from there another day
-            if isinstance(searches, KeptSearches):
-                searches.save()
+            searches.save()
         about = {"map": folder.name, "filter": case.name}
         yield about | asdict(summary) | {"odometry": odometry}
 

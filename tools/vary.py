@@ -13,8 +13,15 @@ import json
 import runpy
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
-from imgloc.numbers import NUMBERS, Number, in_si
+from imgloc.numbers import NUMBERS, in_si
+
+
+def change(name: str, value: Any) -> None:
+    """Put another value, SI units, in the place of a number, before what it decides is imported."""
+    NUMBERS[name] = replace(NUMBERS[name], value=value)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -25,9 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("value", type=json.loads, metavar="VALUE")
     parser.add_argument("tool", metavar="TOOL")
     given, words = parser.parse_known_args(arguments)
-    old = NUMBERS[given.name]
-    value = in_si(given.value, old.unit)
-    NUMBERS[given.name] = Number(value, old.unit, old.source, old.costs)
+    change(given.name, in_si(given.value, NUMBERS[given.name].unit))
     sys.argv = [given.tool, *words]
     runpy.run_module(given.tool, run_name="__main__", alter_sys=True)
 

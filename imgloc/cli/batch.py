@@ -12,7 +12,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Given, Only, Without
-from imgloc.cli.console import LACKS, emit, instead, is_terminal, progress, say
+from imgloc.cli.console import FAILED_ROWS, LACKS, emit, instead, is_terminal, progress, say
 from imgloc.doors import JOBS
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from imgloc.runs.jobs import Item, Job
     from imgloc.runs.opening import Means
 
-FAILED_ROWS = 5
 _EVERY = 60.0  # seconds between lines of progress without a terminal
 _GROUPS: Mapping[str, tuple[type, ...]] = {
     "scans": (Logs, Chosen, Mounting), "options": (Options,), "known": (Known,), "drawn": (Drawn,),

@@ -24,7 +24,7 @@ from imgloc.cli.typed import as_typed
 from imgloc.errors import STDERR, ConfigError, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
-NOT_UNIQUE = 6  # exit code under --strict
+FAILED_ROWS, NOT_UNIQUE = 5, 6  # exit codes: of a batch or folder, and under --strict
 INTERRUPTED = 128 + 2  # as a shell reports a process that SIGINT ended
 PIPE_CLOSED = 128 + 13  # and SIGPIPE
 LACKS = "imgloc.lacks"

@@ -8,8 +8,6 @@ from imgloc.io.files import display
 from imgloc.options import Chosen, Logs, MemoryBudget, Mounting
 from imgloc.ranges import option
 
-_ENDINGS = (".csv", ".jsonl", ".npz", ".mcap")
-
 
 def convert(
     *,
@@ -32,7 +30,7 @@ def convert(
     from imgloc.cli import inputs
     from imgloc.output import converted
 
-    inputs.check_target(out, _ENDINGS, force=force, inputs=[scans_path])
+    inputs.check_target(out, tuple(converted.FORMS), force=force, inputs=[scans_path])
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
     scans = desk.scans(scans_path, inputs.as_recorded(logs, chosen, mounting)).scans
     converted.convert(scans, out, force=force)

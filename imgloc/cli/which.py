@@ -7,13 +7,11 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Only, Without
-from imgloc.cli.console import LOG, emit, say
+from imgloc.cli.console import FAILED_ROWS, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
 from imgloc.options import NAMED, Known, Mounting, Sure
 from imgloc.ranges import option
-
-FAILED_ROWS = 5
 
 
 def which(
@@ -29,8 +27,7 @@ def which(
     taken: opt.Resources,
     scans_path: Path | None = option(
         None,
-        "Scans: .npz, .csv, .jsonl, .json; a CARMEN .log; a ROS .bag, .mcap, .db3 or the folder "
-        "of a recording; - is standard input. Without any the file of --maps-index is made.",
+        f"{opt.SCANS} Without any the file of --maps-index is made.",
         "SCANS",
         parse=opt.find_scans,
     ),

@@ -2,9 +2,11 @@
 
 import codecs
 import contextlib
+import csv
 import gzip
+import io
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import IO, Any
 
 from imgloc.errors import ScanError
@@ -96,3 +98,16 @@ class _Counted:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._file, name)
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    r"""Rows of cells as the text of a CSV.
+
+    Examples
+    --------
+    >>> csv_text([("x", "words"), (1.5, "a, b")])
+    'x,words\n1.5,"a, b"\n'
+    """
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue()

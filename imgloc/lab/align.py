@@ -51,6 +51,7 @@ from imgloc.model import (
     plain,
 )
 from imgloc.numbers import number
+from imgloc.options import FusedOptions
 
 _CELL, _BLUR = number("align.cell"), number("align.blur")  # metres, of the correlation
 _PLACES, _FOLLOWED = number("align.places"), number("align.followed")  # refined, and bent
@@ -71,7 +72,7 @@ _CHANCE = number("align.chance")  # best score of the mirrored map that chance a
 _RIVAL = number("align.rival")  # share of the best score that makes another place a rival
 SCALES = number("align.scales")  # least and greatest scale, and the step between them
 _ROUNDED = 0.005  # share by which a scale that is found may be off
-_VOTE = number("align.vote")  # metres and radians, in which scans agree on a transform
+_VOTE = FusedOptions.separation  # metres and radians: scans agree where their poses are one
 _LEAST_MASS = number("align.mass")  # of the scans, as a share, on a transform
 _ARM = _REACH  # metres: a heading says as much as a point so far off
 _HYPOTHESES, _TRIED = 10, 200  # of a scan, and votes whose transform is tried

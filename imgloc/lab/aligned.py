@@ -1,7 +1,6 @@
 """Two maps that lie on each other, written: text, picture, poses, YAML."""
 
 import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,10 +14,12 @@ from imgloc.features.distance import distance_image
 from imgloc.geometry import cell_of, inside, rotation, transform_points
 from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings, yaml_text
+from imgloc.io.text import csv_text
 from imgloc.lab.align import SCALES, Alignment, corners_of
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, building, sheet
 from imgloc.output.plots import AREA, framed
+from imgloc.output.tables import pose_words
 
 BOTH, ONLY_A, ONLY_B = INK, (178, 114, 0), (0, 94, 213)
 _SEEN: Colour = (247, 245, 243)  # free in one of them
@@ -80,7 +81,7 @@ def _thickness(metres: float) -> str:
 
 
 def _pose(row: Mapping[str, Any]) -> str:
-    text = f"x {row['x']:.3f} m, y {row['y']:.3f} m, theta {math.degrees(row['theta']):.2f} deg"
+    text = pose_words(Pose2D(row["x"], row["y"], row["theta"]))
     return text if row.get("scale", 1) == 1 else f"{text}, scale {row['scale']:.4f}"
 
 
@@ -144,15 +145,11 @@ def read_poses(path: Path) -> Waypoints:
 
 def moved_text(given: Waypoints, found: Alignment) -> str:
     """The CSV of poses of `b` in the frame of `a`; what is no pose stays as it was."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(given.header)
-    for cells, pose in zip(given.rows, found.move(given.poses).tolist(), strict=True):
-        row = list(cells)
+    rows = [list(cells) for cells in given.rows]
+    for row, pose in zip(rows, found.move(given.poses).tolist(), strict=True):
         for column, value in zip(given.columns, pose, strict=False):
             row[column] = f"{value:.6f}"
-        writer.writerow(row)
-    return text.getvalue()
+    return csv_text([given.header, *rows])
 
 
 def moved_yaml(settings: MapSettings, found: Alignment, folder: Path) -> str:

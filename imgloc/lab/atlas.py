@@ -1,7 +1,5 @@
 """The atlas of a map: where one scan is enough. A scan is simulated and located at every place."""
 
-import csv
-import io
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -14,6 +12,7 @@ import numpy as np
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, in_map_frame, pose_errors, poses_of
+from imgloc.io.text import csv_text
 from imgloc.lab.bound import least_covariances
 from imgloc.lab.evaluation import share
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, plain
@@ -72,12 +71,8 @@ def as_csv(spots: Sequence[Spot]) -> str:
     >>> as_csv([Spot(Pose2D(1.0, 2.5), "no-match", 0.0, nan, nan, None, 0.0)]).split()[1]
     '1.0,2.5,0.0,no-match,0.0,,,,,,0.0,1,'
     """
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
     rows = (["" if isinstance(v, float) and math.isnan(v) else v for v in s.row] for s in spots)
-    writer.writerows(rows)
-    return out.getvalue()
+    return csv_text([COLUMNS, *rows])
 
 
 def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: float) -> FloatArray:

@@ -11,6 +11,7 @@ from imgloc.io.messages import link_fields, pose_fields
 from imgloc.live.status import Found
 from imgloc.model import FloatArray, LaserScan, Pose2D, compose
 from imgloc.output.ros import amcl_covariance
+from imgloc.output.tables import percent, pose_words
 
 _COLOURS = {
     "unique": (0.0, 0.45, 0.70), "ambiguous": (0.90, 0.62, 0.0), "no-match": (0.31, 0.31, 0.31),
@@ -33,11 +34,8 @@ def words_of(found: Found) -> str:
     """The first pose in words."""
     if not found.poses:
         return "no pose"
-    pose = found.poses[0]
-    return (
-        f"x {pose.x:.3f} m, y {pose.y:.3f} m, theta {math.degrees(pose.theta):.2f} deg, mass "
-        f"{100 * found.masses[0]:.1f} %, map {found.map}"
-    )
+    mass = percent(found.masses[0])
+    return f"{pose_words(found.poses[0])}, mass {mass}, map {found.map}"
 
 
 class Messages:

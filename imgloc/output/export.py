@@ -5,14 +5,13 @@ Of an item without an answer there is one row, too: its status names the cause. 
 names of nested values are joined by an underscore, and lists are JSON texts.
 """
 
-import csv
-import io
 import json
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from imgloc.errors import ConfigError, OutputError
 from imgloc.io.files import PathLike, display
+from imgloc.io.text import csv_text
 from imgloc.runs.results import Row, read_rows, read_run
 
 _COVARIANCE = {"xx": (0, 0), "xy": (0, 1), "xt": (0, 2), "yy": (1, 1), "yt": (1, 2), "tt": (2, 2)}
@@ -113,11 +112,9 @@ _BEST = (
 
 
 def _csv(columns: Columns) -> bytes:
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(map(_inert, columns))
-    writer.writerows(map(_inert, line) for line in zip(*columns.values(), strict=True))
-    return out.getvalue().encode("utf-8", "backslashreplace")
+    lines = zip(*columns.values(), strict=True)
+    text = csv_text(map(_inert, line) for line in (columns, *lines))
+    return text.encode("utf-8", "backslashreplace")
 
 
 def _inert(value: object) -> object:

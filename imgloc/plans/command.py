@@ -1,7 +1,6 @@
 """`imgloc map plan`: a map of a floor plan."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,7 +8,8 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError, MapError, as_options
 from imgloc.io.files import display, is_file
-from imgloc.options import MemoryBudget
+from imgloc.options import MemoryBudget, PlanWalls
+from imgloc.pose import Pose2D
 from imgloc.ranges import OneOf, Within, check_of, option
 from imgloc.texts import numbers, pose
 
@@ -19,39 +19,9 @@ if TYPE_CHECKING:
 
     from imgloc.io.images import ImageSize
     from imgloc.io.mapyaml import MapYaml
-    from imgloc.model import Pose2D
     from imgloc.plans.building import FloorPlan
-else:
-    Pose2D = Any
 
 PlanScale = Annotated[float, Within(1e-6, 1, "metres a pixel, or a unit")]
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """The way in which walls are drawn on a plan, and the cells that they become."""
-
-    cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
-        None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
-    )
-    thinnest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
-        None,
-        "Least thickness of a wall on an image, metres: thinner strokes are no walls. [default: "
-        "0.07]",
-    )
-    thickest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
-        None,
-        "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
-        "enclose a room. [default: found]",
-    )
-    gap: Annotated[float | None, Within(0, 30, "metres")] = option(
-        None, "Width of the widest outer door, metres. [default: found]"
-    )
-    ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
-        None,
-        "Darkness, against the paper around it, from which a pixel of an image is ink. [default: "
-        "found]",
-    )
 
 
 def plan(
@@ -84,7 +54,7 @@ def plan(
         metavar="X1,Y1,X2,Y2,M",
         parse=numbers(5),
     ),
-    origin: "Pose2D | None" = option(
+    origin: Pose2D | None = option(
         None,
         "Pose of the plan's lower-left corner, or of the zero point of a drawing, in the map "
         "frame: metres, metres, radians (or 90deg). [default: that of a YAML beside the plan, or "
@@ -92,7 +62,7 @@ def plan(
         metavar="X,Y,YAW",
         parse=pose,
     ),
-    drawing: Drawing,
+    drawing: PlanWalls,
     doors: Annotated[str, OneOf("open", "closed", "unknown")] = option(
         "open", "Doors of a drawing are left open, are closed, or are unknown space."
     ),
@@ -184,8 +154,8 @@ def plan(
 
 
 def _drawn(
-    path: Path, resolution: float | None, distance: Any, origin: "Pose2D | None",
-    drawing: Drawing, doors: str, walls: str | None, furniture: bool,
+    path: Path, resolution: float | None, distance: Any, origin: Pose2D | None,
+    drawing: PlanWalls, doors: str, walls: str | None, furniture: bool,
 ) -> "list[FloorPlan]":  # fmt: skip
     """The maps of the floors of a drawing."""
     from imgloc.plans.drawn import drawing_to_maps
@@ -203,8 +173,8 @@ def _drawn(
 
 
 def _pixels(
-    path: Path, resolution: float | None, distance: Any, origin: "Pose2D | None",
-    drawing: Drawing, budget: int, advance: Callable[[], None], inverted: bool | None,
+    path: Path, resolution: float | None, distance: Any, origin: Pose2D | None,
+    drawing: PlanWalls, budget: int, advance: Callable[[], None], inverted: bool | None,
 ) -> "tuple[npt.NDArray[np.uint8], float, FloorPlan]":  # fmt: skip
     """The image of a plan, its scale and its map."""
     from imgloc.cli import inputs

@@ -20,6 +20,7 @@ from imgloc.errors import ConfigError, MapError, expect
 from imgloc.features.distance import distance_transform
 from imgloc.model import BoolArray, Float32Array, FloatArray, Pose2D
 from imgloc.numbers import number
+from imgloc.options import PlanWalls
 from imgloc.plans import building, masks
 from imgloc.plans.building import FloorPlan, Kind
 from imgloc.plans.doors import LEAVES, Door, arcs
@@ -130,8 +131,12 @@ def plan_to_map(
     (1, [6.8, 4.4, 0.2])
     """
     expect(grey, np.ndarray, "grey")
+    PlanWalls(cell, thinnest, thickest, gap, ink)  # refuses what is out of its range
+    if not 0.0005 <= resolution <= 1:
+        raise ConfigError(f"`resolution`: got {resolution:g}, expected 0.0005 to 1")
     thinnest = building.THINNEST if thinnest is None else thinnest
-    _check(resolution, cell, thinnest, thickest, gap, ink)
+    if thinnest >= (widest := thickest or building.THICKEST[0]):
+        raise ConfigError(f"`thinnest={thinnest:g}`: expected less than `thickest={widest:g}`")
     refuse_recorded(grey)
     grey, inverted = _evened(grey, resolution, inverted)
     refuse_photo(grey)
@@ -633,22 +638,3 @@ def _nothing(
         f"walls were found, but they enclose nothing of {building.LEAST:g} square metres, not "
         f"even if openings of {widest:g} m are closed; {what} A wider `gap` closes more"
     )
-
-
-def _check(
-    resolution: float, cell: float | None, thinnest: float, thickest: float | None,
-    gap: float | None, ink: float | None,
-) -> None:  # fmt: skip
-    """Raise ConfigError for a parameter that is out of its range."""
-    limits = {
-        "resolution": (resolution, 0.0005, 1.0), "cell": (cell, 0.01, 1.0),
-        "thinnest": (thinnest, 0.005, 1.0), "thickest": (thickest, 0.05, 3.0),
-        "gap": (gap, 0.0, 30.0), "ink": (ink, 0.01, 0.99),
-    }  # fmt: skip
-    for name, (value, low, high) in limits.items():
-        if value is not None and not low <= value <= high:
-            raise ConfigError(f"`{name}`: got {value:g}, expected {low:g} to {high:g}")
-    if thickest is None:
-        thickest = building.THICKEST[0]
-    if thinnest >= thickest:
-        raise ConfigError(f"`thinnest={thinnest:g}`: expected less than `thickest={thickest:g}`")

@@ -28,7 +28,7 @@ PICTURES = ("none", "doubtful", "all")
 LOCATING = frozenset({
     "Bending", "Calibration", "EvidenceModel", "FusedOptions", "Trust", "adapt", "background",
     "beam", "covariance", "distance", "faces", "floor", "messages", "odometry", "options",
-    "pipeline", "priors", "proposals", "protection", "refine", "rescore", "tolerances", "trust",
+    "pipeline", "priors", "proposals", "protection", "refine", "rescore", "trust",
     "truth", "weigh",
 })  # fmt: skip
 """Families of :mod:`imgloc.numbers` that decide where a scan is."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import MAPS, call, command, rows
+from command import MAPS, call, command, rows, simulating
 
 from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
@@ -27,11 +27,7 @@ KEYS += ["near", "success", "position", "heading", "verdicts", "cost"]
 KEYS += ["lattice", "source", "parameters"]
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("cli") / "scans.npz"
-    assert call("simulate", CURVED, "-n", 6, "--seed", 2, "--out", path).code == 0
-    return path
+scans = simulating(CURVED, "-n", 6, "--seed", 2)
 
 
 def evaluated(*arguments: object) -> list[dict[str, Any]]:

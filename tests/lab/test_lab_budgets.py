@@ -82,12 +82,9 @@ def folder(tmp_path: Path) -> Path:
     ("command", "budget", "expected"),
     [
         (EVALUATE, "15M", ["simulating 1 scans of 181 rays on", "cells needs"]),
-        (EVALUATE, "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger --cell"]),
         ([*ATLAS, 1], "10M", ["simulating 18 scans of 61 rays on 1300 x 1600", "larger --step"]),
         ([*ATLAS, 1], "60M", ["fused on 130 x 160 cells of 0.1 m", "features of", "crop the map"]),
         ([*ATLAS, 2], "200M", ["fused on", "in each of 2 processes", "use fewer --workers"]),
-        ([*CALIBRATE, 1], "10M", ["simulating 20 scans of 61 rays on", "fewer scans"]),
-        ([*CALIBRATE, 1], "60M", ["ght on 130 x 160 cells of 0.1 m", "a larger --cell"]),
         ([*CALIBRATE, 4], "80M", ["ght on 130 x 160 cells of 0.1 m", "features of"]),
     ],
 )

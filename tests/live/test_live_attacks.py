@@ -22,7 +22,7 @@ import httpx
 import numpy as np
 import pytest
 from command import MAPS, command
-from serving import Served, served
+from serving import Served, served, waits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -171,9 +171,7 @@ def test_all_bodies_have_one_budget() -> None:
             there = sockets[-1]
             there.settimeout(30)
             assert there.recv(100).startswith(b"HTTP/1.1 503 ")
-        until = time.monotonic() + 30
-        while httpx.post(f"{one.address}/v1/scans", json=SCAN).status_code != 201:
-            assert time.monotonic() < until  # given back, for others
+        waits(lambda: httpx.post(f"{one.address}/v1/scans", json=SCAN).status_code == 201)
 
 
 def test_the_poses_of_an_atlas_are_counted_before_they_are_made() -> None:
@@ -203,10 +201,7 @@ def test_who_asks_and_never_reads_is_closed_and_shuts_nobody_out() -> None:
                 there.send(ask.encode())
             mute.append(there)
         assert healthy(one)
-        until = time.monotonic() + 30
-        while descriptors(one) > 60:
-            assert time.monotonic() < until
-            time.sleep(0.1)
+        waits(lambda: descriptors(one) <= 60)
 
 
 def descriptors(one: Served) -> int:
@@ -281,7 +276,7 @@ def test_a_burst_beyond_all_descriptors_says_nothing_and_ends() -> None:
 
 def test_a_silent_robot_makes_room_and_is_told() -> None:
     with served(CURVED, "--patience", 0.5) as one, contextlib.ExitStack() as stack:
-        url = f"ws://127.0.0.1:{one.port}/v1/track"
+        url = one.track
         silent = [stack.enter_context(connect(url)) for _ in range(16)]
         time.sleep(1)
         silent[0].send(LINE)
@@ -298,7 +293,7 @@ def test_a_silent_robot_makes_room_and_is_told() -> None:
 
 
 def test_robots_that_speak_make_no_room(service: Served) -> None:
-    url = f"ws://127.0.0.1:{service.port}/v1/track"
+    url = service.track
     with contextlib.ExitStack() as stack:
         for _ in range(16):
             stack.enter_context(connect(url))
@@ -321,12 +316,12 @@ def test_a_robot_that_does_not_read_is_followed_no_more() -> None:
         line = LINE.encode()
         frame = b"\x81\xfe" + len(line).to_bytes(2, "big") + bytes(4) + line  # masked by zeros
         until, rest = time.monotonic() + 60, b""
-        while "imgloc_sockets 1.0" in metrics(one):
+        while "imgloc_sockets 1.0" in one.metrics():
             assert time.monotonic() < until
             rest = rest or 20 * frame
             with contextlib.suppress(OSError):
                 rest = rest[mute.send(rest) :]
-        assert re.search(r'refused.*"too-slow"} 1.0', metrics(one))
+        assert re.search(r'refused.*"too-slow"} 1.0', one.metrics())
 
 
 def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says() -> None:
@@ -359,7 +354,7 @@ def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says() -> 
                 there.setblocking(False)
                 with contextlib.suppress(BlockingIOError):
                     there.send(said.encode())
-            stack.enter_context(connect(f"ws://127.0.0.1:{one.port}/v1/track"))
+            stack.enter_context(connect(one.track))
             time.sleep(0.3)
             process.send_signal(signal.SIGTERM)
             assert process.wait(30) == 0
@@ -455,21 +450,14 @@ def test_a_layer_that_nobody_waits_for_makes_room_for_the_next(service: Served) 
     for _ in range(3):
         with socket.create_connection(("127.0.0.1", service.port)) as there:
             there.sendall(f"{layer}Host: 127.0.0.1:{service.port}\r\n\r\n".encode())
-            waits(service, lambda busy: busy)
-        waits(service, lambda busy: not busy)
+            waits(lambda: layers(service))
+        waits(lambda: not layers(service))
     httpx.delete(f"{service.address}/v1/maps/{map_}")
 
 
-def waits(one: Served, enough: Callable[[int], bool]) -> None:
-    """Wait until so many layers are under way."""
-    until = time.monotonic() + 60
-    while not enough(int(float(re.findall(r'queue.*"layers".* (\S+)', metrics(one))[0]))):
-        assert time.monotonic() < until
-        time.sleep(0.02)
-
-
-def metrics(one: Served) -> str:
-    return httpx.get(f"{one.address}/metrics", timeout=30).text
+def layers(one: Served) -> int:
+    """How many layers are under way."""
+    return int(float(re.findall(r'queue.*"layers".* (\S+)', one.metrics())[0]))
 
 
 # A scan is read back as it was sent.

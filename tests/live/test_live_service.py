@@ -23,8 +23,8 @@ import httpx
 import numpy as np
 import pytest
 from badfiles import YAML, png, room
-from command import MAPS, call, rows, untimed
-from serving import Served, served
+from command import MAPS, call, rows, simulating, untimed
+from serving import Served, served, waits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -37,13 +37,12 @@ from imgloc.simulation.worlds import WORLDS, render
 
 MAP = MAPS / "visibility.yaml"
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+STILL = {"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07, "range_max": 30.0,
+         "odom": [0, 0, 0]}  # fmt: skip
+LINE = json.dumps(STILL)
 
 
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scans") / "scans.npz"
-    assert call("simulate", MAP, "-n", 3, "--seed", 4, "--out", path).code == 0
-    return path
+scans = simulating(MAP, "-n", 3, "--seed", 4)
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +130,7 @@ def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> N
     ]  # fmt: skip
     (tmp_path / "log.jsonl").write_text("\n".join(lines))
     here = call("track", MAP, tmp_path / "log.jsonl", "--json")
-    address = f"ws://127.0.0.1:{service.port}/v1/track?map=visibility&places=true"
+    address = f"{service.track}?map=visibility&places=true"
     with connect(address) as socket:
         there = []
         for line in lines:
@@ -145,14 +144,12 @@ def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> N
 
 
 def test_a_robot_that_says_nothing_for_long_is_followed_on() -> None:
-    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
-                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
     with (
         served(MAP, "--patience", 1) as one,
-        connect(one.address.replace("http", "ws") + "/v1/track") as robot,
+        connect(one.track) as robot,
     ):
         for index in range(3):
-            robot.send(line)
+            robot.send(LINE)
             assert json.loads(robot.recv(60))["index"] == index
             time.sleep(1.5)
 
@@ -204,13 +201,11 @@ def test_a_map_that_is_sent_is_its_sender_s(service: Served, http: httpx.Client)
 def test_a_map_outlives_a_hundred_uploads_while_a_robot_is_followed_in_it(
     service: Served, http: httpx.Client
 ) -> None:
-    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
-                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
     id_ = upload(service.address, "followed", "curved").json()["id"]
     small = cv2.imencode(".png", room())[1].tobytes()
     others = list[str]()
-    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map={id_}") as robot:
-        robot.send(line)
+    with connect(f"{service.track}?map={id_}") as robot:
+        robot.send(LINE)
         assert json.loads(robot.recv(60))["index"] == 0
         detail = problem(http.delete(f"/v1/maps/{id_}"), 409, "in-use")
         assert "a robot is followed in it" in detail
@@ -218,20 +213,14 @@ def test_a_map_outlives_a_hundred_uploads_while_a_robot_is_followed_in_it(
             sent = http.post("/v1/maps?name=a&resolution=0.1", content=small)
             assert sent.status_code == 201, sent.text
             others.append(sent.json()["id"])
-        robot.send(line)
+        robot.send(LINE)
         assert json.loads(robot.recv(60))["index"] == 1
     assert http.get(f"/v1/maps/{id_}").status_code == 200
     assert http.get(f"/v1/maps/{others[0]}").status_code == 404
-    until = time.monotonic() + 60
-    while (gone := http.delete(f"/v1/maps/{id_}")).status_code == 409:
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    assert gone.status_code == 204
+    waits(lambda: http.delete(f"/v1/maps/{id_}").status_code == 204)
 
 
 def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path) -> None:
-    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
-                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
     with served(MAP) as one:
 
         def asked(what: str, **more: str) -> str:
@@ -244,8 +233,8 @@ def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path)
         id_ = upload(one.address, "stranger", "visibility").json()["id"]
         assert untimed(asked("localize")) == untimed(before[0])
         assert asked("which") == before[1]
-        with connect(f"ws://127.0.0.1:{one.port}/v1/track") as robot:
-            robot.send(line)
+        with connect(one.track) as robot:
+            robot.send(LINE)
             assert json.loads(robot.recv(60))["index"] == 0
         assert answers(asked("localize", map=id_)) == answers(before[0])
 
@@ -644,7 +633,7 @@ def test_pages_of_other_sites_are_refused(
     problem(http.get("/v1/maps", headers=headers), 403, kind)
     if "Host" not in headers:
         with pytest.raises(Exception, match="403"):
-            connect(f"ws://127.0.0.1:{service.port}/v1/track?map=curved",
+            connect(f"{service.track}?map=curved",
                     additional_headers=headers)  # fmt: skip
 
 
@@ -686,9 +675,9 @@ def test_others_reach_it_by_a_token_alone(scans: Path) -> None:
         own = {"Authorization": f"Bearer {token}"}
         assert httpx.get(f"{at}/v1/maps", headers=own).status_code == 200
         with pytest.raises(Exception, match="401"):
-            connect(f"ws://127.0.0.1:{one.port}/v1/track")
+            connect(one.track)
         word = base64.urlsafe_b64encode(token.encode()).decode().rstrip("=")
-        with connect(f"ws://127.0.0.1:{one.port}/v1/track",
+        with connect(one.track,
                      subprotocols=["imgloc", f"bearer.{word}"]) as ws:  # fmt: skip
             assert ws.subprotocol == "imgloc"
         problem(httpx.get(f"{at}/v1/maps", headers={**own, "Host": "evil.example"}), 403,
@@ -697,7 +686,7 @@ def test_others_reach_it_by_a_token_alone(scans: Path) -> None:
 
 def test_a_bad_line_ends_a_robot_with_a_problem(service: Served) -> None:
     for line, said in (("{", "JSON"), ('{"angles": [0]}', "ranges: missing")):
-        with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=curved") as one:
+        with connect(f"{service.track}?map=curved") as one:
             one.send(line)
             told = json.loads(one.recv(timeout=30))
             assert (told["status"], "line 1" in told["detail"]) == (422, True)
@@ -708,12 +697,10 @@ def test_a_bad_line_ends_a_robot_with_a_problem(service: Served) -> None:
 
 def test_a_stamp_that_leaps_is_answered_and_is_not_the_end(service: Served) -> None:
     """The clock is the robot's: an hour ahead is none of its errors, a leap is until the second."""
-    line = {"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07, "range_max": 30.0,
-            "odom": [0, 0, 0]}  # fmt: skip
-    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=curved") as robot:
+    with connect(f"{service.track}?map=curved") as robot:
         begin, told = time.time() + 3600.0, []
         for stamp in (0.0, 0.1, -20.0, 0.2, 99.0, 0.3, -20.0, -19.9):
-            robot.send(json.dumps({**line, "stamp": begin + stamp}))
+            robot.send(json.dumps({**STILL, "stamp": begin + stamp}))
             row = json.loads(robot.recv(60))
             told.append(row.get("why", ""))
         assert told == ["", "", "old", "", "ahead", "", "old", ""]
@@ -745,7 +732,7 @@ def test_what_is_too_much_is_told_to_come_back_and_the_rest_is_answered(scans: P
         busy = next(answer for answer in found if answer.status_code == 503)
         assert int(busy.headers["retry-after"]) >= 1
         problem(busy, 503, "busy")
-        text = httpx.get(f"{one.address}/metrics").text
+        text = one.metrics()
         assert f'imgloc_requests_total{{status="503"}} {codes.count(503)}.0' in text
         assert 'imgloc_refused_total{problem="busy"}' in text
         assert 'imgloc_answers_total{kind="localize"' in text
@@ -763,11 +750,7 @@ def test_an_answer_that_takes_too_long_is_given_up(scans: Path) -> None:
 def test_sigterm_ends_what_runs_and_refuses_the_rest(scans: Path) -> None:
     with served(MAP) as one:
         found, threads = asked(f"{one.address}/v1/localize?method=ght-v&index=0", scans, 5)
-        until = time.monotonic() + 30
-        while time.monotonic() < until:
-            text = httpx.get(f"{one.address}/metrics").text
-            if 'imgloc_queue{lane="answers"} 5.0' in text or len(found) >= 1:
-                break
+        waits(lambda: found or 'imgloc_queue{lane="answers"} 5.0' in one.metrics())
         code, err = one.end()
         for thread in threads:
             thread.join(60)
@@ -779,7 +762,7 @@ def test_sigterm_ends_what_runs_and_refuses_the_rest(scans: Path) -> None:
 
 
 def test_ctrl_c_ends_it_too_and_tells_those_who_are_followed() -> None:
-    with served(MAP) as one, connect(f"ws://127.0.0.1:{one.port}/v1/track") as robot:
+    with served(MAP) as one, connect(one.track) as robot:
         assert one.end(signal.SIGINT)[0] == 130
         with pytest.raises(ConnectionClosed, match="1012"):
             robot.recv(timeout=30)
@@ -793,8 +776,6 @@ def test_a_service_that_is_killed_loses_nothing_but_what_ran(scans: Path, tmp_pa
     cache = tmp_path / "cache"
     image = (MAPS / "curved.png").read_bytes()
     head = b"POST /v1/maps?name=half&resolution=0.05 HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n"
-    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
-                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
     asked = {"params": {"map": "visibility"}, "content": scans.read_bytes(), "timeout": 60}
     with served(MAP, "--cache", cache) as one:
         id_ = upload(one.address, "mine", "curved").json()["id"]
@@ -811,18 +792,15 @@ def test_a_service_that_is_killed_loses_nothing_but_what_ran(scans: Path, tmp_pa
 
         request = threading.Thread(target=ask)
         with (
-            connect(f"ws://127.0.0.1:{one.port}/v1/track?map={id_}") as robot,
+            connect(f"{one.track}?map={id_}") as robot,
             socket.create_connection(("127.0.0.1", one.port)) as sending,
         ):
-            robot.send(line)
+            robot.send(LINE)
             assert json.loads(robot.recv(60))["index"] == 0
             more = b"Content-Type: image/png\r\nContent-Length: %d\r\n\r\n" % len(image)
             sending.sendall(head % one.port + more + image[: len(image) // 2])
             request.start()
-            queue = 'imgloc_queue{lane="answers"} 1.0'
-            until = time.monotonic() + 60
-            while queue not in httpx.get(f"{one.address}/metrics", timeout=60).text:
-                assert time.monotonic() < until
+            waits(lambda: 'imgloc_queue{lane="answers"} 1.0' in one.metrics())
             assert one.end(signal.SIGKILL)[0] == -signal.SIGKILL
             with pytest.raises(ConnectionClosed):
                 robot.recv(60)

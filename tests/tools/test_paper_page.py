@@ -6,9 +6,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from tools.paper.page import render_report, templates
+from tools.paper.page import render_report
 
-tables = templates().get_template("tables.html").module
 PNG = b"\x89PNG not really"
 
 
@@ -102,35 +101,6 @@ def test_the_page_says_what_was_run_and_captions_its_figures(page):
     assert "Fig. 1. Not taking into account the orientation of surfaces" in page.text
     assert "Fig. 4. Surface points (a)" in page.text
     assert "Fig. 2. Visibility constraints" not in page.text  # not drawn
-
-
-@pytest.mark.parametrize("text", [
-    "20 % [10, 30]30 % [20, 40]40 % [30, 50]", "its cell10 cm, 30°± 1 cell",
-    "storage: CBML0.00 (1)–", "run time: beam, eq. 2–0.98 (1)",  # – was not measured
-    "CBML1.2383–165.28",  # ms, kB, not timed, millions
-    "visibilityCBML-O / CBML12.0 / 10.0 ms1.20",
-])  # fmt: skip
-def test_the_page_has_shares_exponents_costs_and_ratios(page, text):
-    assert text in page.text
-
-
-def test_the_index_stands_beside_the_papers():
-    text = Page(tables.index_table(ROWS)).text
-    assert "0.00 ± 0.02" in text  # not -0.00
-    assert "−0.47" in text
-    assert "+0.12 ± 0.01" in text
-    assert "bare 7.77†3" in text
-    assert "visibility, 3°: 14.9" in text
-
-
-def test_the_chart_has_a_dot_for_each_and_a_ring_for_the_papers():
-    svg = tables.index_chart(ROWS)
-    assert svg.count('class="dot"') == 3
-    assert svg.count('class="ring"') == 1
-    assert 'x="20"' in svg
-    broken = copy.deepcopy(ROWS)
-    broken[0]["interval"] = [float("nan")] * 2  # a single trial has none
-    assert tables.index_chart(broken).count('class="bar"') == 2
 
 
 @pytest.mark.parametrize("key", ["world", "method"])

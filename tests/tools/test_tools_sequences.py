@@ -69,14 +69,14 @@ def test_searches_that_are_shared_change_nothing_but_the_time(folder: Path, tmp_
     expected = run(Forgets(features, Options()))
     assert len(done) > len(set(done))
     assert run(Searches(features, Options())) == expected
-    first = sequences.KeptSearches(features, Options(), tmp_path / "kept")
+    first = Searches(features, Options(), tmp_path / "kept")
     assert run(first) == expected
     first.save()
-    again = sequences.KeptSearches(features, Options(), tmp_path / "kept")
+    again = Searches(features, Options(), tmp_path / "kept")
     again.features = None  # type: ignore[assignment]  # of no use: nothing is searched
     assert run(again) == expected
     assert again.clock == first.clock > 0
-    other = sequences.KeptSearches(features, Options(top=1), tmp_path / "kept")
+    other = Searches(features, Options(top=1), tmp_path / "kept")
     other.features = None  # type: ignore[assignment]
     with pytest.raises(AttributeError):
         other(log[0])

@@ -26,6 +26,7 @@ from tools.trust.fit import (
     numbers_of,
     trust_of,
 )
+from tools.trust.foreign import Asked
 
 
 def made(n=1200, seed=0):
@@ -175,12 +176,13 @@ def test_a_place_on_the_lost_half_of_a_map_is_no_place():
 def test_a_case_says_which_mode_is_right():
     grid = render(WORLDS["curved"](), 0.1)
     scans = simulate(grid, 1, 0)
-    case = case_of(prepare(grid), scans.scans[0], scans.poses[0], "curved", "plain")
+    features, scan = prepare(grid), scans.scans[0]
+    case = case_of(features, Asked("plain", "curved", scan, scans.poses[0]))
     assert case.right[0]
     assert case.right.sum() == 1
     assert case.gap > 0
-    assert not case_of(prepare(grid), scans.scans[0], None, "x", "away").right.any()
-    assert case_of(prepare(grid), LaserScan([1.0], [0.0]), None, "x", "few") is None
+    assert not case_of(features, Asked("away", "x", scan, None)).right.any()
+    assert case_of(features, Asked("few", "x", LaserScan([1.0], [0.0]), None)) is None
 
 
 def test_scans_of_other_floors_have_no_place():

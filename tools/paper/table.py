@@ -30,7 +30,7 @@ from imgloc.likelihoods.ght import ght_v
 from imgloc.model import Float32Array, FloatArray
 from imgloc.options import DEFAULTS
 from tools.recorded import in_world
-from tools.script import at_least_one, one_of
+from tools.script import at_least_one, one_of, take_turns
 
 CELL = 0.1
 """Side of a cell of the pose space, metres: the paper's."""
@@ -285,7 +285,7 @@ def measure_ratios(
                 run()
             times = []
             for pair in runs:
-                times.append(take_turns(pair, repeats))
+                times.append(np.median(take_turns(pair, repeats, time.thread_time), axis=1))
                 advance()
             ours, theirs = np.array(times).T
             out.append(
@@ -295,19 +295,3 @@ def measure_ratios(
                 )
             )  # fmt: skip
     return tuple(out)
-
-
-def take_turns(
-    runs: Sequence[Callable[[], object]],
-    repeats: int,
-    clock: Callable[[], float] = time.thread_time,
-) -> tuple[float, ...]:
-    """Median seconds of each run; in every other round they come in the opposite order."""
-    times: list[list[float]] = [[] for _ in runs]
-    for k in range(repeats):
-        order = range(len(runs)) if k % 2 == 0 else reversed(range(len(runs)))
-        for i in order:
-            start = clock()
-            runs[i]()
-            times[i].append(clock() - start)
-    return tuple(float(np.median(t)) for t in times)

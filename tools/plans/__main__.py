@@ -29,7 +29,7 @@ from tools.plans.drawing import STYLES, building, draw_plan
 from tools.plans.drawings import DRAWINGS_HEAD, measure_drawings, write_dxf
 from tools.plans.measure import DRAWN, MAPS, SHEETS_HEAD, measure, measure_sheets, table
 from tools.plans.sheets import ASIDE, FRESH, HARD, LATER, SHEETS
-from tools.script import ended, parser_of, progress, table_lines
+from tools.script import ended, parser_of, progress, show, table_lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,9 +63,7 @@ def run(given: argparse.Namespace) -> int:
         paths = sorted(p for p in given.drawings.iterdir() if p.suffix.lower() in READERS)
         with progress("drawings", 2 * len(paths) * given.n) as advance:
             measured = measure_drawings(paths, given.n, advance, seeds[0])
-            for line in table_lines(DRAWINGS_HEAD, measured):
-                print(line, flush=True)
-        return 0
+            return show(table_lines(DRAWINGS_HEAD, measured))
     if given.sheets is not None:
         return _sheets(given)
     drawn = [how for how in DRAWN if how.style in given.styles.split(",")]
@@ -84,9 +82,7 @@ def run(given: argparse.Namespace) -> int:
     maps = given.maps.split(",")
     cv2.setNumThreads(os.cpu_count() or 1)
     with progress("plans", len(seeds) * given.n * len(drawn) * len(maps)) as advance:
-        for line in table(measure(seeds, given.n, drawn, maps, advance)):
-            print(line, flush=True)
-    return 0
+        return show(table(measure(seeds, given.n, drawn, maps, advance)))
 
 
 def _sheets(given: argparse.Namespace) -> int:
@@ -102,9 +98,7 @@ def _sheets(given: argparse.Namespace) -> int:
         return 0
     cv2.setNumThreads(1)
     with progress("sheets", 2 * len(some) * given.n) as advance:
-        for line in table_lines(SHEETS_HEAD, measure_sheets(given.n, some, advance)):
-            print(line, flush=True)
-    return 0
+        return show(table_lines(SHEETS_HEAD, measure_sheets(given.n, some, advance)))
 
 
 if __name__ == "__main__":

@@ -57,6 +57,7 @@ from tools.trust.fit import (
     trust_of,
 )
 from tools.trust.foreign import (
+    UNDISTURBED,
     answers,
     at_home,
     floors_of,
@@ -67,7 +68,6 @@ from tools.trust.foreign import (
     rooms_and_others,
 )
 from tools.trust.levels import (
-    UNDISTURBED,
     answers_at_home,
     answers_away,
     draw_stanford,

@@ -17,19 +17,26 @@ import numpy as np
 from scipy.optimize import minimize
 
 from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Trust, prepare
-from imgloc.geometry import cell_of, centre_of, pose_errors, transform_points, transform_poses
+from imgloc.geometry import cell_of, pose_errors, transform_points, transform_poses
 from imgloc.lab.evaluation import share
 from imgloc.model import BoolArray, FloatArray, inverse
 from imgloc.numbers import Origin, write
-from imgloc.options import Known
 from imgloc.pipeline import find_adapted_modes
 from imgloc.search.hypotheses import masses
 from imgloc.search.priors import prior_of
 from imgloc.search.trust import judge
 from imgloc.search.weigh import evidence_with
 from tools.script import table_lines
-from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
-from tools.trust.foreign import WITHOUT, floors_of, on_other_floors
+from tools.trust.disturb import ROOMS
+from tools.trust.foreign import (
+    WITHOUT,
+    Asked,
+    Questions,
+    disturbed,
+    elsewhere,
+    floors_of,
+    on_other_floors,
+)
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
 
 MARGIN = 1.25
@@ -73,16 +80,9 @@ class TrustFit:
     now: tuple[float, float]  #: the same of the trust that is the default
 
 
-def case_of(
-    features: MapFeatures,
-    scan: LaserScan,
-    pose: FloatArray | None,
-    building: str,
-    condition: str,
-    known: Known | None = None,
-) -> Case | None:
-    """Lay a scan on a map; `pose` (3,) is the true one, map frame. None if nothing is found."""
-    options = Options(prior=prior_of(known or Known(), features.grid))
+def case_of(features: MapFeatures, asked: Asked) -> Case | None:
+    """Lay a scan on a map; None if nothing is found."""
+    options, scan = Options(prior=prior_of(asked.known, features.grid)), asked.scan
     if scan.directions < options.trust.readings:
         return None
     found = find_adapted_modes(features, scan, options)
@@ -90,68 +90,40 @@ def case_of(
         return None
     score, n = found.scores.things[:MODES], len(found.readings)
     right = np.zeros(len(score), bool)
-    if pose is not None:
+    if asked.pose is not None and mapped(features.grid, asked.pose):
         there = transform_poses(features.grid.origin, found.poses[:MODES])
-        right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
+        right = np.all(pose_errors(there, Pose2D(*asked.pose)) <= RIGHT, axis=1)
     fit = evidence_with(features, found, options)
     gap, cell = float(score[0]) / n - fit.unmapped, features.grid.resolution
     against = gap * n / fit.temperature.value - fit.net
     misfit = fit.best - float(score[0]) / n
-    return Case(building, condition, score, right, n, misfit, gap, cell, against)
+    condition = asked.row if asked.prior == WITHOUT else f"{asked.row}, {asked.prior}"
+    return Case(asked.building, condition, score, right, n, misfit, gap, cell, against)
+
+
+def cases_of(questions: Questions) -> Iterator[Case]:
+    """Lay scans on the maps that are asked for them."""
+    for grid, some in questions:
+        features = prepare(grid)
+        yield from filter(None, (case_of(features, asked) for asked in some))
 
 
 def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
     """Every scan of a set with poses: as it is, disturbed, and on disturbed maps."""
-    for k, (name, change_map) in enumerate(MAPS.items()):
-        changed = change_map(grid, np.random.default_rng((seed, k)))
-        features = prepare(changed, building)
-        some = SCANS if changed is grid else {name: SCANS["undisturbed"]}
-        for condition, change in some.items():
-            for i, (scan, pose) in enumerate(scans.with_poses()):
-                there = pose if mapped(changed, pose) else None
-                disturbed = change(scan, np.random.default_rng((seed, i)))
-                case = case_of(features, disturbed, there, building, condition)
-                if case is not None:
-                    yield case
-    features = prepare(grid, building)
-    for condition, known in PRIORS.items():
-        for scan, pose in scans.with_poses():
-            case = case_of(features, scan, pose, building, condition, known(pose))
-            if case is not None:
-                yield case
+    return cases_of(disturbed(building, grid, scans, None, seed))
 
 
 def cases_away(
     building: str, grid: OccupancyGrid, foreign: Sequence[LaserScan], n: int, seed: int
 ) -> Iterator[Case]:
     """Scans that are not of a map: those of other buildings, and `n` of each simple room."""
-    features = prepare(grid, building)
-    asked = [("another building", scan) for scan in foreign]
-    for k, room in enumerate(ROOMS):
-        for i in range(n):
-            rng = np.random.default_rng((seed, k, i))
-            asked.append((room, unmapped(room, rng, np.pi * (1 + i % 2))))
-    free, rng = np.argwhere(features.standable), np.random.default_rng((seed, len(ROOMS)))
-    for condition, scan in asked:
-        cell, theta = rng.choice(free), rng.uniform(-np.pi, np.pi)
-        local = np.append(centre_of(cell[None], grid.resolution)[0], theta)
-        at = transform_poses(grid.origin, local[None])[0]
-        told = {condition: None} | {f"{condition}, {n}": known(at) for n, known in PRIORS.items()}
-        for name, known in told.items():
-            case = case_of(features, scan, None, building, name, known)
-            if case is not None:
-                yield case
+    rng = np.random.default_rng((seed, len(ROOMS)))
+    return cases_of(iter([(grid, elsewhere(building, grid, foreign, n, (seed,), rng))]))
 
 
 def cases_on_floors(seed: int, n: int) -> Iterator[Case]:
     """Scans on their own floor, on another one of the same drawn building, on a mirrored plan."""
-    for grid, some in on_other_floors(floors_of(seed, n)):
-        features = prepare(grid, f"building {seed}")
-        for a in some:
-            row = a.row if a.prior == WITHOUT else f"{a.row}, {a.prior}"
-            case = case_of(features, a.scan, a.pose, a.building, row, a.known)
-            if case is not None:
-                yield case
+    return cases_of(on_other_floors(floors_of(seed, n)))
 
 
 def listed(make: Callable[..., Iterator[Case]], given: Sequence[Any]) -> list[Case]:

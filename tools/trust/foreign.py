@@ -31,14 +31,14 @@ from imgloc.options import Known
 from imgloc.search.priors import leaves_none, prior_of
 from tools.plans.drawing import building, true_world
 from tools.script import table_lines
-from tools.trust.disturb import PRIORS, ROOMS, half_of, unmapped
+from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, half_of, unmapped
 from tools.trust.reliability import Judged, judge_answer, reliability
 
 FLOORS = 4
 """Floors of each building."""
 CELL, FINE = 0.05, 0.01
 """Metres: cells of a floor's map, and of the floor on which its scans are simulated."""
-WITHOUT = "nothing known"
+WITHOUT, UNDISTURBED = "nothing known", "undisturbed"
 Place = tuple[str, OccupancyGrid, ScanSet]
 """The name of a map, the map, and scans whose poses in it are known."""
 
@@ -88,18 +88,49 @@ def rooms_and_others(
         rng = np.random.default_rng((seed, k))
         home = same.get(name, name)
         away = [s for of, scans in others.items() if same.get(of, of) != home for s in scans]
-        asked = [("another building", away[i]) for i in rng.permutation(len(away))[:n]]
-        for j, room in enumerate(ROOMS):
-            for i in range(n):
-                fov = np.pi * (1 + i % 2)
-                asked.append((room, unmapped(room, np.random.default_rng((seed, k, j, i)), fov)))
-        free, some = np.argwhere(prepare(grid).standable), list[Asked]()
-        for row, scan in asked:
-            local = np.append(centre_of(rng.choice(free)[None], grid.resolution)[0], 0)
-            local[2] = rng.uniform(-np.pi, np.pi)
-            at = transform_poses(grid.origin, local[None])[0]
-            some += with_priors(row, home, scan, None, at)
-        yield grid, some
+        some = [away[i] for i in rng.permutation(len(away))[:n]]
+        yield grid, elsewhere(home, grid, some, n, (seed, k), rng)
+
+
+def elsewhere(
+    building: str, grid: OccupancyGrid, foreign: Sequence[LaserScan], n: int,
+    seed: tuple[int, ...], rng: np.random.Generator,
+) -> list[Asked]:  # fmt: skip
+    """Scans that are not of a map: `foreign` ones, and `n` of each simple room.
+
+    `rng` draws places of the map, of which each is asked with priors, too.
+    """
+    asked = [("another building", scan) for scan in foreign]
+    for j, room in enumerate(ROOMS):
+        for i in range(n):
+            drawn = unmapped(room, np.random.default_rng((*seed, j, i)), np.pi * (1 + i % 2))
+            asked.append((room, drawn))
+    free, some = np.argwhere(prepare(grid).standable), list[Asked]()
+    for row, scan in asked:
+        local = np.append(centre_of(rng.choice(free)[None], grid.resolution)[0], 0)
+        local[2] = rng.uniform(-np.pi, np.pi)
+        at = transform_poses(grid.origin, local[None])[0]
+        some += with_priors(row, building, scan, None, at)
+    return some
+
+
+def disturbed(
+    building: str, grid: OccupancyGrid, scans: ScanSet, few: int | None, seed: int
+) -> Questions:
+    """Every scan of a set as it is; the first `few` disturbed, with priors, on disturbed maps."""
+    pairs = list(scans.with_poses())
+    home = [Asked(UNDISTURBED, building, *pair) for pair in pairs]
+    for row, change in SCANS.items():
+        for i, (scan, pose) in enumerate(pairs[:few] if row != UNDISTURBED else ()):
+            other = change(scan, np.random.default_rng((seed, i)))
+            home.append(Asked(row, building, other, pose))
+    for row, known in PRIORS.items():
+        home += [Asked(row, building, *pair, known=known(pair[1])) for pair in pairs[:few]]
+    yield grid, home
+    for k, (row, change_map) in enumerate(MAPS.items()):
+        if row != UNDISTURBED:
+            changed = change_map(grid, np.random.default_rng((seed, k)))
+            yield changed, [Asked(row, building, *pair) for pair in pairs[:few]]
 
 
 def with_priors(

@@ -30,19 +30,18 @@ from imgloc import (
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.model import FloatArray
 from imgloc.numbers import Origin, write
-from imgloc.options import Known
 from imgloc.output.plots import blank
 from imgloc.search.priors import prior_of
 from imgloc.search.protection import HEADING, POSITION, SHARES, Spread
 from tools.script import table_lines
-from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
+from tools.trust.disturb import MAPS, SCANS
+from tools.trust.foreign import UNDISTURBED, WITHOUT, Asked, disturbed, elsewhere
 from tools.trust.reliability import RIGHT, WRONG
 
 LIMITS = (0.25, 0.5, 1.0)
 """Alarm limits, metres."""
 MASSES = (0.5, 0.8, 0.85, 0.9, 0.95, 0.98, 0.99, 0.999)
 """Masses that a robot may ask for, at which risk and coverage are counted."""
-UNDISTURBED = "undisturbed"
 
 
 @dataclass(frozen=True)
@@ -94,21 +93,18 @@ def radius(spread: Spread, deviation: FloatArray) -> FloatArray:
     return np.asarray(far * spread.units(deviation))
 
 
-def answered_at(
-    features: MapFeatures, scan: LaserScan, pose: FloatArray | None, about: tuple[str, str],
-    known: Known | None = None,
-) -> Answered:  # fmt: skip
-    """Ask where a scan is; `pose` (3,) is the true one, map frame, and `about` says of what."""
-    answer = localize(features, scan, Options(prior=prior_of(known or Known(), features.grid)))
+def answered_at(features: MapFeatures, asked: Asked) -> Answered:
+    """Ask where a scan is, and compare."""
+    answer = localize(features, asked.scan, Options(prior=prior_of(asked.known, features.grid)))
     error, deviation = np.full((2, 2), np.inf)
     if answer.hypotheses:
         covariance = answer.hypotheses[0].covariance
         variance = np.linalg.eigvalsh(covariance[:2, :2])[-1], covariance[2, 2]
         deviation = np.sqrt(variance)
-        if pose is not None:
-            error = pose_errors(poses_of(answer.hypotheses[:1]), Pose2D(*pose))[0]
+        if asked.pose is not None:
+            error = pose_errors(poses_of(answer.hypotheses[:1]), Pose2D(*asked.pose))[0]
     return Answered(
-        *about, answer.verdict, mass_of(answer), error, deviation,
+        asked.building, asked.row, answer.verdict, mass_of(answer), error, deviation,
         np.array([(level.metres, level.radians) for level in answer.protection]).reshape(-1, 2),
     )  # fmt: skip
 
@@ -122,35 +118,19 @@ def answers_at_home(
     building: str, grid: OccupancyGrid, scans: ScanSet, few: int, seed: int
 ) -> Iterator[Answered]:
     """Every scan of a set as it is; the first `few` disturbed, on disturbed maps, with priors."""
-    features, some = prepare(grid, building), scans.take(range(min(few, len(scans))))
-    for scan, pose in scans.with_poses():
-        yield answered_at(features, scan, pose, (building, UNDISTURBED))
-    for condition, change in SCANS.items():
-        if condition != UNDISTURBED:
-            for i, (scan, pose) in enumerate(some.with_poses()):
-                told = change(scan, np.random.default_rng((seed, i)))
-                yield answered_at(features, told, pose, (building, condition))
-    for condition, known in PRIORS.items():
-        for scan, pose in some.with_poses():
-            yield answered_at(features, scan, pose, (building, condition), known(pose))
-    for k, (condition, change_map) in enumerate(MAPS.items()):
-        if condition != UNDISTURBED:
-            changed = prepare(change_map(grid, np.random.default_rng((seed, k))), building)
-            for scan, pose in some.with_poses():
-                yield answered_at(changed, scan, pose, (building, condition))
+    for changed, some in disturbed(building, grid, scans, few, seed):
+        features = prepare(changed, building)
+        yield from (answered_at(features, asked) for asked in some)
 
 
 def answers_away(
     building: str, grid: OccupancyGrid, foreign: Sequence[LaserScan], few: int, seed: int
 ) -> Iterator[Answered]:
     """Scans of other buildings, and `few` of each simple room that is on no map."""
-    features = prepare(grid, building)
-    for scan in foreign:
-        yield answered_at(features, scan, None, (building, "another building"))
-    for k, room in enumerate(ROOMS):
-        for i in range(few):
-            scan = unmapped(room, np.random.default_rng((seed, k, i)), np.pi * (1 + i % 2))
-            yield answered_at(features, scan, None, (building, room))
+    features, rng = prepare(grid, building), np.random.default_rng(seed)
+    for asked in elsewhere(building, grid, foreign, few, (seed,), rng):
+        if asked.prior == WITHOUT:
+            yield answered_at(features, asked)
 
 
 def fit_spreads(answers: Sequence[Answered]) -> SpreadFit:

@@ -8,6 +8,7 @@ moment; but a scanner that reads every half degree in two turns of its mirror, a
 pose, by 0.028 s times the rate of the turn.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -67,10 +68,10 @@ def precision(
     for k, (scan, pose) in enumerate(scans.with_poses()):
         answer = localize(features, scan, options)
         found, covariance = best_of(answer)
-        error = _difference(found, pose)
+        error = difference(found, pose)
         if answer.verdict != "unique" or np.hypot(*error[:2]) > NEAR:
             continue
-        inside = _within(error, covariance + np.diag(np.square(truth)))
+        inside = squared(error, covariance + np.diag(np.square(truth))) < REGION
         (a, A), (b, B) = (
             best_of(localize(features, replace(scan, ranges=r, angles=phi), options))
             for r, phi in _halves(scan)
@@ -78,9 +79,9 @@ def precision(
         ranges = scan.ranges.copy()
         ranges[np.random.default_rng((0, k)).choice(np.flatnonzero(scan.valid))] = np.nan
         less = localize(features, replace(scan, ranges=ranges), options)
-        step = _difference(best_of(less)[0], found)
+        step = difference(best_of(less)[0], found)
         moved = bool(np.any(np.abs(step) > 2 * np.sqrt(np.diag(covariance))))
-        rows.append((inside, _within(_difference(a, b), A + B), moved))
+        rows.append((inside, squared(difference(a, b), A + B) < REGION, moved))
         x, y, turn = np.diag(covariance)
         claimed.append(np.sqrt([(x + y) / 2, turn]))
         errors.append([np.hypot(*error[:2]) / np.sqrt(2), error[2]])
@@ -148,14 +149,16 @@ def best_of(answer: Localization) -> tuple[FloatArray, FloatArray]:
     return np.array([best.pose.x, best.pose.y, best.pose.theta]), best.covariance
 
 
-def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
+def difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    """One pose (3,) less another, its turn within half a circle."""
     with np.errstate(invalid="ignore"):  # where nothing was found
         out = np.asarray(a - b)
     out[2] = wrap(out[2]) if np.isfinite(out[2]) else np.inf
     return out
 
 
-def _within(error: FloatArray, covariance: FloatArray) -> bool:
+def squared(error: FloatArray, covariance: FloatArray) -> float:
+    """Squared Mahalanobis distance of an error; infinite where nothing was found."""
     if not np.isfinite(error).all():
-        return False
-    return bool(error @ np.linalg.solve(covariance, error) < REGION)
+        return math.inf
+    return float(error @ np.linalg.solve(covariance, error))

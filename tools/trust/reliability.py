@@ -7,10 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc import Localization, MapFeatures, Options, Pose2D, ScanSet, localize
-from imgloc.geometry import pose_errors, poses_of, wrap
+from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.evaluation import Share, share
 from imgloc.model import BoolArray, FloatArray
 from imgloc.output.plots import blank
+from tools.trust.precision import difference, squared
 
 RIGHT = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is right: the separation of hypotheses."""
@@ -63,9 +64,7 @@ def judge_answer(answer: Localization, truth: Pose2D) -> Judged:
     unique = answer.verdict == "unique"
     nees = float("nan")
     if unique and right[0]:
-        e = poses[0] - (truth.x, truth.y, truth.theta)
-        e[2] = wrap(e[2])
-        nees = float(e @ np.linalg.solve(told[0].covariance, e))
+        nees = squared(difference(poses[0], np.array([*truth])), told[0].covariance)
     return Judged(
         np.array([h.mass for h in told]),
         np.asarray(right),
