@@ -8,7 +8,7 @@ is tried with what is often wrong: a sensor upside down or turned, other units, 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import combinations, product
 
 import cv2
@@ -130,8 +130,8 @@ def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float, float, str]
                 right = math.degrees(Pose2D(0.0, 0.0, yaw + turn).theta)
                 parts = ["hangs upside down"] * hangs
                 parts += [f"has a yaw of about {right:.0f} degrees"] * (turn > 0)
-                placed = Way("", scan=partial(_placed, turn=turn, hangs=hangs))
-                ways.append((share(placed), " and ".join(parts)))
+                way = Way("", scan=partial(_turned, turn=turn, hangs=hangs))
+                ways.append((share(way), " and ".join(parts)))
             found.append((name, here, *max(ways)))
     odd = min(found, key=lambda one: one[1], default=None)
     return odd if odd is not None and min(odd[2], most) >= POOR else None
@@ -169,26 +169,22 @@ def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
 
 def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
     """Faults that are tried, the likeliest first."""
-    ways = [Way("flipped", scan=lambda s: s.flipped),
-            Way("odometry-turn", odom=lambda o: o * (1, 1, -1))]  # fmt: skip
-    for factor in (0.001, 0.01):
-        ways.append(Way("units", factor, scan=lambda s, f=factor: s.scaled(f)))  # type: ignore[misc]
-    for quarter in (2, 1, -1):
-        turn = quarter * math.pi / 2
-        ways.append(Way("mounting", turn, scan=lambda s, t=turn: _turned(s, t)))  # type: ignore[misc]
-    for factor in _ANGLES:
-        ways.append(Way("view", factor, scan=lambda s, f=factor: widened(s, f)))  # type: ignore[misc]
+    turns = math.pi, math.pi / 2, -math.pi / 2
+    ways = [
+        Way("flipped", scan=lambda s: s.flipped),
+        Way("odometry-turn", odom=lambda o: o * (1, 1, -1)),
+        *(Way("units", f, scan=partial(LaserScan.scaled, factor=f)) for f in (0.001, 0.01)),
+        *(Way("mounting", turn, scan=partial(_turned, turn=turn)) for turn in turns),
+        *(Way("view", f, scan=partial(widened, factor=f)) for f in _ANGLES),
+    ]
     times, unit = np.arange(len(odom), dtype=float), 1.0
     if scans.stamps is not None and np.isfinite(scans.stamps).all():
         times = scans.stamps - scans.stamps[0]
         if not (np.diff(times) > 0).all():
             return ways
         unit = float(np.median(np.diff(times)))
-    for late in _LAGS:
-        for sign in (1, -1):
-            shift = sign * late * unit
-            ways.append(Way("lag", shift, odom=lambda o, t=times, s=shift: _shifted(o, t, s)))  # type: ignore[misc]
-    return ways
+    shifts = [sign * late * unit for late in _LAGS for sign in (1, -1)]
+    return ways + [Way("lag", s, odom=partial(_shifted, times=times, shift=s)) for s in shifts]
 
 
 def _two(ways: Sequence[Way]) -> list[Way]:
@@ -201,13 +197,11 @@ def _two(ways: Sequence[Way]) -> list[Way]:
     ]
 
 
-def _turned(scan: LaserScan, turn: float) -> LaserScan:
+def _turned(scan: LaserScan, turn: float, *, hangs: bool = False) -> LaserScan:
+    """The scan of a sensor that is turned by so many radians, and hangs upside down besides."""
+    scan = scan.flipped if hangs else scan
     mount = scan.T_base_laser or Pose2D(0.0, 0.0)
     return replace(scan, T_base_laser=Pose2D(mount.x, mount.y, mount.theta + turn))
-
-
-def _placed(scan: LaserScan, turn: float, hangs: bool) -> LaserScan:
-    return _turned(scan.flipped if hangs else scan, turn)
 
 
 def widened(scan: LaserScan, factor: float) -> LaserScan:
@@ -246,22 +240,17 @@ def _share(
     """
     moved = way.odom(odom)
     steps = [_step(odom, i, j) for i, j in pairs]
-    turned = sorted(range(len(pairs)), key=lambda k: -abs(steps[k].theta))
-    gone = sorted(
-        range(len(pairs)),
-        key=lambda k: abs(steps[k].theta) - math.hypot(steps[k].x, steps[k].y),
-    )
-    seen = dict[int, float]()
+    turned = np.array([abs(step.theta) for step in steps])
+    gone = np.array([math.hypot(step.x, step.y) for step in steps])
+
+    @cache
+    def fits(k: int) -> float:
+        i, j = pairs[k]
+        return overlap(way.scan(scan(i)), way.scan(scan(j)), _step(moved, i, j), way.unit)
+
     medians = list[float]()
-    for order in (turned, gone):
-        shares = list[float]()
-        for k in order[:_PAIRS]:
-            if k not in seen:
-                i, j = pairs[k]
-                step = _step(moved, i, j)
-                seen[k] = overlap(way.scan(scan(i)), way.scan(scan(j)), step, way.unit)
-            if not math.isnan(seen[k]):
-                shares.append(seen[k])
+    for order in (np.argsort(-turned, kind="stable"), np.argsort(turned - gone, kind="stable")):
+        shares = [share for k in order[:_PAIRS].tolist() if not math.isnan(share := fits(k))]
         if 2 * len(shares) >= _PAIRS:
             medians.append(float(np.median(shares)))
         elif len(order) >= _PAIRS:  # scans without readings agree with nothing
@@ -300,6 +289,4 @@ def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0
     image = cv2.dilate(image, np.ones((3, 3), np.uint8))
     at = np.floor(np.clip((moved - corner) / cell, -1, _SIDE)).astype(np.int64)
     inside: BoolArray = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
-    hits = np.zeros(len(at), bool)
-    hits[inside] = image[at[inside, 1], at[inside, 0]] > 0
-    return float(hits.mean())
+    return float(np.count_nonzero(image[at[inside, 1], at[inside, 0]]) / len(at))
