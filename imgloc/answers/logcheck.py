@@ -91,11 +91,9 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
         What was stated about the scans.
     """
     findings = list(notes)
-    found = {finding.code for finding in findings}
-    facts: dict[str, Any] = {"scans": len(scans)}
-    facts |= _about_readings(scans, findings)
     times = _about_stamps(scans)
-    facts |= {"stamps": times}
+    facts: dict[str, Any] = {"scans": len(scans), **_about_readings(scans, findings)}
+    facts["stamps"] = times
     if times and not times["seconds"]:
         _add(findings, "stamps")
         times = None
@@ -103,8 +101,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
         units = {"milliseconds": 1e4, "microseconds": 1e7, "nanoseconds": math.inf}
         unit = next(name for name, below in units.items() if 1 / pace < below)
         _add(findings, "stamps/unit", step=1 / pace, unit=unit)
-    if times and times["back"]:
-        back = times["back"]
+    if times and (back := times["back"]):
         stamps = "a stamp goes" if back == 1 else f"{back:,} stamps go"
         _add(findings, "order", stamps=stamps)
     path = scans.odom if scans.odom is not None else scans.poses
@@ -112,7 +109,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     poses = "odometry" if scans.poses_are_odometry else scans.poses is not None
     facts |= {"odometry": None, "poses": poses, "agreement": None, "straightened": None}
     if scans.odom is not None:
-        facts["odometry"] = _about_odometry(scans, found, findings)
+        facts["odometry"] = _about_odometry(scans, findings)
     if path is not None and known.sum() > 1:
         some = scans.take(np.flatnonzero(known).tolist())
         path = np.asarray(path[known])
@@ -125,8 +122,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     _about_repeats(scans, path, findings)
     _about_lasers(scans, findings)
     edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), int(_BARS) + 1)
-    seen = _seen(scans)
-    histogram = np.histogram(seen, edges)[0].astype(np.float64), edges
+    histogram = np.histogram(_seen(scans), edges)[0].astype(np.float64), edges
     best = int(np.argmax([scan.directions for scan in scans.scans[:_MANY]]))
     return LogReport(facts, tuple(_sorted(findings)), histogram, path, best)
 
@@ -170,7 +166,7 @@ def on_map(
                 findings.append(cause("poses"))
                 if scans.odom is None:  # as who follows the robot takes them
                     moved = replace(scans, odom=scans.poses)
-                    facts["odometry"] = _about_odometry(moved, set(), findings)
+                    facts["odometry"] = _about_odometry(moved, findings)
         if scans.odom is not None and np.isfinite(scans.odom).all():
             at = sensor_poses(scans)
             facts["odometry_fits"] = poses_fit(features.grid, scans.scans, at)
@@ -250,8 +246,8 @@ def _started(
     return cause("start", at=place_words(at), away=away)
 
 
-def _add(findings: list[Cause], key: str, given: Given | None = None, **values: Any) -> None:
-    if (found := cause(key, given, **values)).code not in {finding.code for finding in findings}:
+def _add(findings: list[Cause], key: str, **values: Any) -> None:
+    if (found := cause(key, None, **values)).code not in {finding.code for finding in findings}:
         findings.append(found)
 
 
@@ -359,9 +355,7 @@ def _about_stamps(scans: ScanSet) -> dict[str, Any] | None:
     }
 
 
-def _about_odometry(
-    scans: ScanSet, found: set[str], findings: list[Cause]
-) -> dict[str, Any] | None:
+def _about_odometry(scans: ScanSet, findings: list[Cause]) -> dict[str, Any] | None:
     assert scans.odom is not None
     known = np.isfinite(scans.odom).all(axis=1)
     if known.any() and np.mean(~known) > _LACKS:
@@ -371,7 +365,7 @@ def _about_odometry(
         return None
     steps = np.hypot(*np.diff(odom[:, :2], axis=0).T)
     turns = np.abs(np.remainder(np.diff(odom[:, 2]) + math.pi, math.tau) - math.pi)
-    if not np.ptp(odom, axis=0).any() and "odometry-zero" not in found and _changes(scans):
+    if not np.ptp(odom, axis=0).any() and _changes(scans):
         _add(findings, "odometry-zero")
     still = (steps < _STANDS) & (turns < _STANDS)
     return {
