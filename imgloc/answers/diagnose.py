@@ -199,9 +199,8 @@ class _Trial:
 
     def of(self, laser: str) -> "_Trial":
         """The same with the scans of one laser."""
-        scans = self.scans
-        own = [k for k, scan in enumerate(scans.scans) if scan.laser == laser]
-        return self if len(own) == len(scans) else replace(self, scans=scans.take(own))
+        own = [k for k, scan in enumerate(self.scans.scans) if scan.laser == laser]
+        return replace(self, scans=self.scans.take(own))
 
     @property
     def fits(self) -> str:
@@ -500,10 +499,9 @@ def place_words(pose: Pose2D) -> str:
 
 def too_few(scans: Sequence[LaserScan], *, one: bool = False) -> Cause:
     """The cause of scans that have too few readings, with what most of these are instead."""
-    counts, why = few_readings(scans), why_invalid(scans)
-    if counts.endswith("?"):
-        why = "Look at range_min and range_max of the file"
-    counts += "" if counts.endswith("?") else "."
+    counts, why = few_readings(scans), "Look at range_min and range_max of the file"
+    if not counts.endswith("?"):
+        counts, why = f"{counts}.", why_invalid(scans)
     return cause("few", which="this scan has" if one else "most scans have", counts=counts, why=why)
 
 
