@@ -75,6 +75,7 @@ _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv
 _POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./][zw])")
 _AXES = "position/x", "position/y", "orientation/z", "orientation/w"
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
+Role = tuple[str, int, float]  #: of a column, see :func:`role_of`
 
 
 def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_BAD) -> ScanSet:
@@ -186,7 +187,7 @@ def _unpacked(body: list[Row]) -> list[Row]:
     return [(where, head), *((w, row and row + [""] * (len(head) - len(row))) for w, row in rows)]
 
 
-def role_of(name: str) -> tuple[str, int, float]:
+def role_of(name: str) -> Role:
     """Role of a column by its lower-case name, its number among its like, and its unit in SI.
 
     It is ``ranges`` for a column of a scan a line, empty if the name is no hint.
@@ -240,9 +241,8 @@ class _Table:
             return self._columns(by["angle"], roles[by["angle"]][2], names)
         if not ranges and {"x", "y"} <= set(names) <= {"x", "y", "z", "intensity"}:
             expected = "columns angle and range: atan2(y, x) in radians, hypot(x, y) in metres"
-            raise ScanError(
-                f"{self.name}: columns {', '.join(names)} are points; expected {expected}"
-            )
+            found = f"columns {', '.join(names)} are points"
+            raise ScanError(f"{self.name}: {found}; expected {expected}")
         if not ranges:
             aside = [i for i, r in enumerate(roles) if r[0] or not names[i]]
             ranges = [i for i in range(len(names)) if i not in aside]
@@ -252,7 +252,7 @@ class _Table:
         if not names:
             ranges = list(range(len(self.rows[0][1])))
             if not self.settings and (by := self._one_a_line()):
-                return self._readings(by, [("", 0, 1.0)] * len(ranges), parsed=True)
+                return self._readings(by, [("", 0, 1.0)] * len(ranges))
             if self._turns(fov):
                 return self._columns(0, 1.0)
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
@@ -276,19 +276,16 @@ class _Table:
             if "angle_min" in by and np.isnan(row[by["angle_min"]]) and np.isnan(values).all():
                 continue  # of another topic
             more = {key: [row[i] * roles[i][2] for i in at] or None for key, at in places.items()}
-            said = {key: float(row[by[key]]) for key in _SETTINGS if key in by}
+            said: dict[str, Any] = {key: float(row[by[key]]) for key in _SETTINGS if key in by}
             said = {key: value for key, value in said.items() if not math.isnan(value)}
             while "angle_min" in said and len(values) > 1 and _beyond(said, values):
                 values = values[:-1]  # a shorter scan than others
             stamp = _stamp_of(row, by, roles)
-            entries.append(
-                (where, {**self.settings, **said, "ranges": values, "stamp": stamp, **more})
-            )
+            said |= {"ranges": values, "stamp": stamp, **more}
+            entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
 
-    def _beside(
-        self, names: Sequence[str], by: Mapping[str, int], roles: Sequence[tuple[str, int, float]]
-    ) -> Beside:
+    def _beside(self, names: Sequence[str], by: Mapping[str, int], roles: Sequence[Role]) -> Beside:
         """The odometries whose columns are there, by their topics."""
         beside, topics = Beside(), dict[str, dict[str, int]]()
         for i, name in enumerate(names):
@@ -422,16 +419,10 @@ class _Table:
         expected = "a first line with the names of all columns, or the ranges alone"
         raise ScanError(f"{self.name}: column {ranges[0] + 1} is {found}; expected {expected}")
 
-    def _readings(
-        self,
-        by: Mapping[str, int],
-        roles: Sequence[tuple[str, int, float]],
-        *,
-        parsed: bool = False,
-    ) -> ScanSet:
+    def _readings(self, by: Mapping[str, int], roles: Sequence[Role]) -> ScanSet:
         """The scans of a table with a reading a line."""
         which = next((key for key in ("scan", "stamp", "time") if key in by), None)
-        if not parsed:
+        if not self.rows:
             keys = [k for k in ("angle", "range", which, "seconds", "nanoseconds") if k in by]
             self._parse([by[k] for k in keys if k], [role for role, _, _ in roles])
         self.bad.check(len(self.rows))
@@ -446,9 +437,8 @@ class _Table:
             where = self.name if len(starts) == 1 else self.rows[a][0]
             found = {"angles": angles[a:b], "ranges": ranges[a:b], "stamp": stamp}
             entries.append((where, {**self.settings, **found}))
-        return collect(
-            entries, self.name, BadLines(self.name, self.bad.most) if starts[1:] else None
-        )
+        bad = BadLines(self.name, self.bad.most) if starts[1:] else None
+        return collect(entries, self.name, bad)
 
     def echoed(self) -> ScanSet:
         """The scans of what ``ros2 topic echo --csv`` prints: the fields without their names."""
@@ -456,18 +446,16 @@ class _Table:
         entries = list[Entry]()
         for where, cells in self.body:
             try:
-                row = [
-                    number_of(c, f"{where}: column {i}") for i, c in enumerate(cells, 1) if i != 3
-                ]
+                texts = [(f"{where}: column {i}", c) for i, c in enumerate(cells, 1) if i != 3]
+                row = [number_of(text, at) for at, text in texts]
                 said = {key: row[2 + k] for k, key in enumerate(keys) if key}
                 rays, count = row[_ECHO - 1 :], _rays_of(said)
                 if count < 1:
                     raise ScanError(f"{where}: angle_increment: expected radians between two rays")
                 if abs(count - len(rays)) > 1:  # intensities follow
                     count = len(rays) // 2 if abs(2 * count - len(rays)) <= 2 else len(rays)
-                stamp = row[0] + 1e-9 * row[1]
-                ranges = np.array(rays[:count])
-                entries.append((where, {**said, "ranges": ranges, "stamp": stamp}))
+                found = {"ranges": np.array(rays[:count]), "stamp": row[0] + 1e-9 * row[1]}
+                entries.append((where, {**said, **found}))
             except (ScanError, IndexError) as error:
                 self.bad.skip(ScanError(str(error)), where if entries and where == self.cut else "")
         return collect(entries, self.name, self.bad)
@@ -494,9 +482,7 @@ def _beyond(said: Mapping[str, float], values: FloatArray) -> bool:
     return bool(np.isnan(values[-1])) and len(values) > _rays_of(said)
 
 
-def _stamp_of(
-    row: FloatArray, by: Mapping[str, int], roles: Sequence[tuple[str, int, float]]
-) -> float | None:
+def _stamp_of(row: FloatArray, by: Mapping[str, int], roles: Sequence[Role]) -> float | None:
     """The stamp of a line in seconds: that of the header, else the time in whichever unit."""
     stamp = math.nan
     if "seconds" in by:
