@@ -264,14 +264,11 @@ _SPOKEN = (
      "angle_deg,distance_mm, and below it -angle,distance of each reading"),
 )  # fmt: skip
 """Texts that are no log of scans by how they begin, and what makes one of them."""
-_TO_JSON = (
-    "pandas.read_{}(FILE).to_json('scans.jsonl', orient='records', lines=True) makes JSON lines"
-)
+_TO_JSON = "(FILE).to_json('scans.jsonl', orient='records', lines=True) makes JSON lines"
 _CONVERTED = {
     ".npy": "an array without angles: np.savez('scans.npz', ranges=..., angles=..., range_max=...)",
     ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
-    ".parquet": _TO_JSON.format("parquet"),
-    ".feather": _TO_JSON.format("feather"),
+    **{f".{form}": f"pandas.read_{form}{_TO_JSON}" for form in ("parquet", "feather")},
     ".pkl": "a pickle, which may run anything: np.savez('scans.npz', ranges=..., angles=...)",
     ".h5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
     ".hdf5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
@@ -298,8 +295,7 @@ def has_topics(path: PathLike) -> bool:
     kind = _kind_of(path)
     if kind is not _JSON:
         return "topic" in kind.takes
-    with open_text(path) as (file, _):
-        return b'"topic"' in file.read(_HEAD)
+    return b'"topic"' in _head_of(path)
 
 
 def _kind_of(path: PathLike) -> _Kind:
@@ -327,10 +323,7 @@ def _kind_of(path: PathLike) -> _Kind:
     for known, hint in _CONVERTED.items():
         if lower.endswith((known, f"{known}.gz", f"{known}.zip")):
             raise ScanError(f"{name}: cannot be read: {hint}")
-    with open_text(path) as (opened, _):
-        head = opened.read(_HEAD)
-    head = unmarked(head)
-    _refuse_spoken(path)
+    head = _refuse_spoken(path)
     if told := ending in ("", ".txt", ".dat", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):
@@ -347,9 +340,7 @@ def why_no_scans(path: PathLike) -> str:
     if Path(path).suffix.lower() in SCAN_ENDINGS:
         return ""
     try:
-        kind = _kind_of(path)
-        with open_text(path) as (file, _):
-            head = unmarked(file.read(_HEAD))
+        kind, head = _kind_of(path), _head_of(path)
     except ScanError as error:
         return str(error).removeprefix(f"{display(path)}: ").partition(", expected")[0]
     if kind is _ECHO:
@@ -360,13 +351,19 @@ def why_no_scans(path: PathLike) -> str:
     return "" if kind is not _CSV or 2 * tables >= max(len(words), 1) else "no table of numbers"
 
 
-def _refuse_spoken(path: PathLike) -> None:
-    """ScanError for a text of a program whose scans are not read, with what would do."""
-    with open_text(path) as (opened, _):
-        head = opened.read(_HEAD)
+def _head_of(path: PathLike) -> bytes:
+    """The first bytes of a file, unpacked, without a byte-order mark."""
+    with open_text(path) as (file, _):
+        return unmarked(file.read(_HEAD))
+
+
+def _refuse_spoken(path: PathLike) -> bytes:
+    """First bytes; ScanError for a program's text that is not read, with what would do."""
+    head = _head_of(path)
     for pattern, hint in _SPOKEN:
         if re.match(pattern, head, re.MULTILINE | re.DOTALL):
             raise ScanError(f"{display(path)}: cannot be read: {hint}")
+    return head
 
 
 def _npz_size(path: PathLike) -> ScansSize:
@@ -441,10 +438,8 @@ def _check_header(
     except (ValueError, KeyError, SyntaxError, TypeError, MemoryError, tokenize.TokenError):
         raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array") from None
     if dtype.hasobject:
-        hint = (
-            "which are never loaded; expected numbers (save rows of equal length, padded with NaN)"
-        )
-        raise ScanError(f"{name}: {key}: contains pickled objects, {hint}")
+        hint = "expected numbers (save rows of equal length, padded with NaN)"
+        raise ScanError(f"{name}: {key}: contains pickled objects, which are never loaded; {hint}")
     if dtype.kind not in "fiu":
         raise wrong(f"{name}: {key}", f"type {str(dtype)[:60]}", "numbers")
     if not all(type(n) is int and n >= 0 for n in shape):  # NumPy lets a bool pass
