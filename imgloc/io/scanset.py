@@ -418,8 +418,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     check_size(n, readings, name)
     if angles is None:
         if all(key in arrays and arrays[key].size == 1 for key in _STEPS):
-            first, step = (arrays[key].item() for key in _STEPS)
-            angles = first + np.arange(readings, dtype=np.float64) * step
+            angles = _spaced_angles({key: arrays[key].item() for key in _STEPS}, readings, name)
         elif (fov := _STATED.get().fov) is not None:
             angles = spread(readings, fov)
         else:
@@ -486,10 +485,8 @@ def _lasers(laser: FloatArray | None, n: int, name: str) -> list[str]:
         return [""] * n
     if laser.size != 1 and laser.shape != (n,):
         raise wrong(f"{name}: laser", f"shape {laser.shape}", f"one number or {(n,)}")
-    if (odd := laser[laser != np.rint(laser)]).size or not np.isfinite(laser).all():
-        raise wrong(
-            f"{name}: laser", f"{odd.flat[0] if odd.size else laser.flat[0]}", "whole numbers"
-        )
+    if (odd := laser[~np.isfinite(laser) | (laser != np.rint(laser))]).size:
+        raise wrong(f"{name}: laser", odd[0], "whole numbers")
     return [str(int(number)) for number in np.broadcast_to(laser.ravel(), (n,)).tolist()]
 
 
