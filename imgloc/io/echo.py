@@ -1,5 +1,6 @@
 """LaserScan as `ros2 topic echo` and `rostopic echo` print it: YAML, a document a message."""
 
+import contextlib
 import logging
 import re
 from typing import Any
@@ -8,7 +9,7 @@ from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
 from imgloc.io.plainyaml import plain_yaml
-from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, collect
+from imgloc.io.scanset import MAX_RAYS, SPACING, Entry, ScanSet, collect
 from imgloc.io.text import read_text
 from imgloc.io.textscans import plain_entry
 from imgloc.options import MAX_BAD
@@ -71,10 +72,8 @@ def _checked(message: Any, where: str) -> dict[str, Any]:
     if isinstance(ranges, str) and ranges.startswith("<"):  # by the option no-arr
         hint = f"{_ALL}, without its option no-arr"
         raise ScanError(f"{where}: ranges: left out, {ranges[:60]!r}; {hint}")
-    for key in ("angle_min", "angle_max", "angle_increment"):
+    for key in SPACING:
         if isinstance(message.get(key), str):  # 5e-2 has no point: a string to YAML 1.1
-            try:
+            with contextlib.suppress(ValueError):  # refused where it is used
                 message[key] = float(message[key])
-            except ValueError:
-                continue  # refused where it is used
     return message
