@@ -76,8 +76,9 @@ def scans_of(
             text = _text_of(line, where, first=number == 1)
             if not text:
                 continue
-            if take is None:
-                take = _reader_of(text, topic, fov)
+            if take is None and _CARMEN.match(text.encode()):
+                take = CarmenLines(topic, fov).take
+            take = take or partial(read_jsonl_line, topic=topic)
             scan = take(text, where)
         except ScanError as error:
             if take is not None and not line.endswith(b"\n") and len(line) <= MAX_LINE:
@@ -99,15 +100,6 @@ def _text_of(line: bytes, where: str, *, first: bool) -> str:
         return line.decode("utf-8-sig" if first else "utf-8").strip()
     except UnicodeDecodeError as e:
         raise ScanError(f"{where}: byte {e.start} is not UTF-8 text") from None
-
-
-def _reader_of(
-    text: str, topic: str | None, fov: float | None
-) -> Callable[[str, str], ScanSet | None]:
-    """Reader of lines of which this is the first."""
-    if _CARMEN.match(text.encode()):
-        return CarmenLines(topic, fov).take
-    return partial(read_jsonl_line, topic=topic)
 
 
 def lines_of(stream: BinaryIO) -> Iterator[bytes]:
