@@ -64,6 +64,7 @@ _POSE = "[x, y, yaw] in metres and radians"
 _NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
+_FRAME = ("origin", "resolution", "negate", "mode")  # what another YAML may have otherwise
 _BESIDE = 64  # YAMLs in the folder of an image that are looked at
 
 _OTHERS = {
@@ -211,11 +212,9 @@ def other_frame(settings: MapSettings) -> str:
     for said in yamls_of(settings.image) if settings.yaml is None else ():
         with contextlib.suppress(MapError):
             theirs = _settings(said, {}, "", bare=False)
+            values = [(k, *(_plainly(getattr(s, k)) for s in (theirs, settings))) for k in _FRAME]
             found = [
-                f"{key} {values[0]} there, {values[1]} here"
-                for key in ("origin", "resolution", "negate", "mode")
-                if (values := [_plainly(getattr(s, key)) for s in (theirs, settings)])[0]
-                != values[1]
+                f"{k} {there} there, {here} here" for k, there, here in values if there != here
             ]
             if not found:
                 return ""
