@@ -188,13 +188,12 @@ def encode_picture(image: npt.NDArray[np.uint8], form: str = "png") -> bytes:
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise ValueError(f"image {image.shape} {image.dtype} must be uint8 BGR")
     pixels = np.ascontiguousarray(image[..., ::-1])
-    full = PIL.Image.fromarray(pixels)
+    full, out = PIL.Image.fromarray(pixels), io.BytesIO()
     if form != "png":
         if form not in ("jpeg", "webp"):
             raise ConfigError(f"a picture .{form}: expected a name in .png, .jpg or .webp")
-        buffer = io.BytesIO()
-        full.save(buffer, form.upper(), quality=90)
-        return buffer.getvalue()
+        full.save(out, form.upper(), quality=90)
+        return out.getvalue()
     method = PIL.Image.Quantize.MAXCOVERAGE
     few = full.quantize(256, method, dither=PIL.Image.Dither.NONE)
     # The mean of what it stands for: greys stay grey, and large areas keep their colour.
@@ -202,7 +201,6 @@ def encode_picture(image: npt.NDArray[np.uint8], form: str = "png") -> bytes:
     count = np.maximum(1, np.bincount(index, minlength=256))
     sums = [np.bincount(index, pixels[..., k].ravel(), minlength=256) for k in range(3)]
     few.putpalette(np.rint(np.array(sums) / count).T.astype(int).ravel().tolist())
-    out = io.BytesIO()
     few.save(out, "png")
     return out.getvalue()
 
