@@ -18,6 +18,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from string import digits
 
 import numpy as np
 
@@ -46,8 +47,8 @@ _REACH = 80.0
 _RIGID = 5e-3  # metres, radians: six digits of a pose that is hundreds of metres away
 _CENTIMETRES = 0.01  # metres
 # For each kind of message, the place of the number of readings, and the least words behind them.
-_COUNTS = {"ROBOTLASER": (8, 14), "RAWLASER": (8, 3), "LASER": (8, 3), "Laser": (1, 0)}
-_FLASER = (1, 6)
+_COUNTS = {"ROBOTLASER": (8, 14), "FLASER": (1, 6), "RLASER": (1, 6), "Laser": (1, 0)}
+_RAW = (8, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +264,7 @@ def _fault(words: Sequence[str]) -> str:
     if word in _ODOMETRY or word == "L":
         before, readings, after = (4, 0, 0) if word in _ODOMETRY else (7, 1, 1)
     else:
-        at, after = _COUNTS.get(word.rstrip("12345"), _FLASER)
+        at, after = _COUNTS.get(word.rstrip(digits), _RAW)
         if len(words) <= at:
             return f"{len(words)} words, expected the number of readings as word {at + 1}"
         if not words[at].isascii() or not words[at].isdigit() or int(words[at][:9]) < 1:
@@ -280,35 +281,37 @@ def _fault(words: Sequence[str]) -> str:
     return f"{len(words):,} words, expected {need:,} or more: {expected}"
 
 
-def _numbers(words: Sequence[str]) -> FloatArray:
-    return np.array(words, dtype=np.float64)
+def _cut(words: Sequence[str]) -> tuple[FloatArray, Sequence[str], int]:
+    """The readings of a message, the words behind them, and how many there are at the least.
+
+    ValueError or IndexError if there are fewer.
+    """
+    at, after = _COUNTS.get(words[0].rstrip(digits), _RAW)
+    n = int(words[at])
+    ranges, rest = np.array(words[at + 1 : at + 1 + n], np.float64), words[at + 1 + n :]
+    if len(ranges) != n or n < 1 or len(rest) < after:
+        raise ValueError
+    return ranges, rest, after
 
 
 def _flaser(words: Sequence[str], where: str) -> _Message:
     """``FLASER n r.. laser-pose robot-pose time host time``."""
-    n = int(words[1])
-    rest = words[2 + n :]
-    if len(rest) < 6 or n < 1:
-        raise ValueError
+    ranges, rest, _ = _cut(words)
     laser, robot = wrapped_pose(*map(float, rest[:3])), wrapped_pose(*map(float, rest[3:6]))
     stamp = math.nan
     with contextlib.suppress(ValueError, IndexError):  # a word that is no number is the host
         stamp = float(rest[6])
-    return _Message(where, _numbers(words[2 : 2 + n]), stamp, laser=laser, robot=robot)
+    return _Message(where, ranges, stamp, laser=laser, robot=robot)
 
 
 def _laser(words: Sequence[str], where: str) -> _Message:
     """``Laser n r..`` of DP-SLAM."""
-    n = int(words[1])
-    ranges = _numbers(words[2 : 2 + n])
-    if len(ranges) != n or n < 1:
-        raise ValueError
-    return _Message(where, ranges, math.nan)
+    return _Message(where, _cut(words)[0], math.nan)
 
 
 def _centimetres(words: Sequence[str], where: str) -> _Message:
     """``L robot-pose laser-pose r.. time``, centimetres and radians."""
-    values = _numbers(words[1:])
+    values = np.array(words[1:], np.float64)
     ranges, stamp = values[6:-1] * _CENTIMETRES, float(values[-1])
     if not len(ranges):
         raise ValueError
@@ -317,17 +320,14 @@ def _centimetres(words: Sequence[str], where: str) -> _Message:
     return _Message(where, ranges, stamp, laser=laser, robot=robot)
 
 
-def _configured(words: Sequence[str], where: str, after: int) -> tuple[_Message, Sequence[str]]:
+def _configured(words: Sequence[str], where: str) -> tuple[_Message, Sequence[str]]:
     """``type start fov res max accuracy mode n r.. [m rem..]``, and the words behind.
 
-    `after` words follow at the least: old messages have no number of remissions, which only the
-    number of words shows.
+    Old messages have no number of remissions, which only the number of words shows.
     """
-    n = int(words[8])
     start, fov, step, reach = map(float, words[2:6])
-    ranges, rest = _numbers(words[9 : 9 + n]), words[9 + n :]
-    if len(ranges) != n or n < 1 or len(rest) < after:
-        raise ValueError
+    ranges, rest, after = _cut(words)
+    n = len(ranges)
     if len(rest) > after:
         rest = rest[1 + int(rest[0]) :]
     if len(rest) != after:
@@ -339,14 +339,14 @@ def _configured(words: Sequence[str], where: str, after: int) -> tuple[_Message,
 
 def _robot_laser(words: Sequence[str], where: str) -> _Message:
     """``ROBOTLASER1 .. laser-pose robot-pose tv rv forward side turn time host time``."""
-    message, rest = _configured(words, where, 14)
+    message, rest = _configured(words, where)
     laser, robot = wrapped_pose(*map(float, rest[:3])), wrapped_pose(*map(float, rest[3:6]))
     return replace(message, laser=laser, robot=robot)
 
 
 def _raw(words: Sequence[str], where: str) -> _Message:
     """``RAWLASER1 .. time host time``."""
-    return _configured(words, where, 3)[0]
+    return _configured(words, where)[0]
 
 
 _OTHER = {"FLASER": _flaser, "RLASER": _flaser, "Laser": _laser, "L": _centimetres}
@@ -374,12 +374,10 @@ def _assemble(
         odom = poses
     entries: list[Entry] = []
     for i, message in enumerate(messages):
-        angles = message.angles
-        if angles is None:
-            angles = _angles(len(message.ranges), fov, resolution, message.where)
+        given, count = message.angles, len(message.ranges)
         entry = {
             "ranges": message.ranges,
-            "angles": angles,
+            "angles": _angles(count, fov, resolution, message.where) if given is None else given,
             "range_max": message.range_max if message.range_max > 0 else reach,
             "stamp": float(stamps[i]) if timed else None,
             "odom": None if odom is None else odom[i],
