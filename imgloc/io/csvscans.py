@@ -123,8 +123,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     if _is_echo(body[0][1]):
         return table.echoed()
     first, names = body[0][1], cells_of(comment)
-    numeric = [cell for cell in first if cell and is_number(cell)]
-    if not numeric or first[0].startswith("%"):
+    if not any(cell and is_number(cell) for cell in first) or first[0].startswith("%"):
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
     elif (head := _head(name, body, settings, fov)) is not None:
         names = head
