@@ -172,9 +172,7 @@ def map_of_bytes(
     >>> grid.occupied.tolist(), grid.free.tolist()
     ([[True, False]], [[False, True]])
     """
-    given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
-    _check_options(given)
-    file = Path(name)
+    given, file = _given(reading), Path(name)
     if yaml is not None:
         written = parse_map_yaml(yaml, file, given)
     elif "resolution" in given:
@@ -416,9 +414,7 @@ def resolve_settings(path: PathLike, **reading: "Unpack[Reading]") -> MapSetting
     """Combine a map's YAML, if `path` is one, with options of `load_map` (which win), defaults."""
     if strange := reading.keys() - Reading.__annotations__.keys():
         raise TypeError(f"unexpected arguments: {', '.join(sorted(strange))}")
-    given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
-    _check_options(given)
-    name, file = display(path), Path(path)
+    given, name, file = _given(reading), display(path), Path(path)
     said = load_map_yaml(path, given) if file.suffix.lower() in YAML_ENDINGS else None
     if said is None:
         os.close(open_regular(path, MapError, "map YAML or image"))
@@ -468,8 +464,9 @@ def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool)
     )
 
 
-def _check_options(given: dict[str, Any]) -> None:
-    """Raise ConfigError for an option that is out of its range."""
+def _given(reading: Reading) -> dict[str, Any]:
+    """The options that are given; ConfigError for one that is out of its range."""
+    given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
     low, high = RESOLUTION_RANGE
     resolution, origin = given.get("resolution", low), given.get("origin", (0, 0, 0))
     if not low <= resolution <= high:
@@ -482,6 +479,7 @@ def _check_options(given: dict[str, Any]) -> None:
     numbers = [0.0] * 3 if isinstance(origin, Pose2D) else [float(v) for v in origin]
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
         raise ConfigError(f"`origin`: got {numbers}, expected x, y, yaw in metres and radians")
+    return given
 
 
 def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
