@@ -115,7 +115,13 @@ def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYa
     (0.05, -0.5, 'maps/a.png')
     """
     name = display(path)
-    values = _plain_mapping(data, name)
+    try:
+        text = decoded(data)
+    except UnicodeDecodeError as e:
+        raise MapError(f"{name}: byte {e.start} is not UTF-8 text; expected a map YAML") from None
+    values = plain_yaml(text, name, MapError, most=_MOST)
+    if not isinstance(values, dict):
+        raise MapError(f"{name}: expected lines of 'key: value' (image, resolution, origin)")
     said: dict[str, Any] = {key: values.get(key) for key in _KEYS}
     for key, convert, expected in _CHECKS:
         if said[key] is None and key != "image":
@@ -131,14 +137,3 @@ def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYa
             raise MapError(f"{name}: {key}: got {shown}, expected {expected}{hint}")
     unknown = tuple(str(key) for key in values if key not in _KEYS)
     return MapYaml(path, path.parent / said.pop("image"), unknown_keys=unknown, **said)
-
-
-def _plain_mapping(data: bytes, name: str) -> dict[Any, Any]:
-    try:
-        text = decoded(data)
-    except UnicodeDecodeError as e:
-        raise MapError(f"{name}: byte {e.start} is not UTF-8 text; expected a map YAML") from None
-    values = plain_yaml(text, name, MapError, most=_MOST)
-    if not isinstance(values, dict):
-        raise MapError(f"{name}: expected lines of 'key: value' (image, resolution, origin)")
-    return values
