@@ -59,8 +59,7 @@ def slice_of(points: FloatArray, height: Height) -> dict[str, Any]:
     at = np.arctan2(xy[:, 1], xy[:, 0])
     ray = np.rint((at + math.pi) / step).astype(np.int64) % RAYS
     order = np.lexsort((ranges, ray))
-    first = np.unique(ray[order], return_index=True)[1]
-    nearest = order[first]
+    nearest = order[np.unique(ray[order], return_index=True)[1]]
     out = {"ranges": np.full(RAYS, np.nan), "angles": np.arange(RAYS) * step - math.pi}
     out["ranges"][ray[nearest]] = ranges[nearest]
     out["angles"][ray[nearest]] = at[nearest]
@@ -155,8 +154,7 @@ def read_pcd(path: PathLike, *, height: Height | None = None) -> ScanSet:
     about, count = _layout(header, name)
     if header["DATA"] == ["ascii"]:
         try:
-            words = np.array(data.split(), dtype=np.float64)
-            table = words.reshape(count, -1)
+            table = np.array(data.split(), dtype=np.float64).reshape(count, -1)
             columns = [_column(header, axis) for axis in _AXES]
             points = np.ascontiguousarray(table[:, columns])
         except (ValueError, IndexError):

@@ -69,13 +69,12 @@ def load_tum(path: PathLike, max_bad: float = MAX_BAD) -> tuple[FloatArray, Floa
 def _pose_of(words: list[str]) -> tuple[float, float, float, float]:
     """Stamp, x, y and yaw of a line; a ValueError has what was expected."""
     try:
-        stamp, x, y, z, *quaternion = map(float, words)
-        qx, qy, qz, qw = quaternion
+        stamp, x, y, _, qx, qy, qz, qw = values = [float(word) for word in words]
     except ValueError:
         raise ValueError(_WORDS) from None
-    if not all(map(math.isfinite, (stamp, x, y, z, *quaternion))):
+    if not all(map(math.isfinite, values)):
         raise ValueError(f"{_WORDS}, all finite")
-    length = math.hypot(*quaternion)
+    length = math.hypot(qx, qy, qz, qw)
     if not _LENGTH[0] <= length <= _LENGTH[1]:
         raise ValueError(f"a quaternion qx qy qz qw of length 1, not {length:.3g}")
     yaw = math.atan2(2 * (qw * qz + qx * qy), length**2 - 2 * (qy * qy + qz * qz))
