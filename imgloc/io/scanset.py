@@ -131,9 +131,8 @@ class ScanSet(ByContent):
 
         ScanError, by the `name` of the log, if there is no odometry at all.
         """
-        indices = list[int]()
-        if self.odom is not None:
-            indices = np.flatnonzero(np.isfinite(self.odom).all(axis=1)).tolist()
+        odom = np.zeros((0, 3)) if self.odom is None else self.odom
+        indices = np.flatnonzero(np.isfinite(odom).all(axis=1)).tolist()
         if not indices:
             missing = "odom: missing, expected the odometry of each scan to track a robot"
             csv = name.lower().endswith((".csv", ".csv.gz"))
@@ -262,8 +261,7 @@ def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) ->
     Entries that are broken are left out if there are no more of them than `bad` allows; without it
     none may be. `odom` is NaN for an entry without odometry.
     """
-    if bad is None:
-        bad = BadLines(name, 0.0)
+    bad = bad or BadLines(name, 0.0)
     scans, beside = list[LaserScan](), {"pose": list[FloatArray](), "odom": list[FloatArray]()}
     for where, entry in entries:
         try:
@@ -317,11 +315,10 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     try:
         for key in SPACING:
             _check_angles(np.array([given.get(key, 0.0)]), where, key)
-        angles = (
-            _spaced_angles(given, len(ranges), where)
-            if spaced
-            else numbers(entry["angles"], where, "angles", ndim=(1,))
-        )
+        if spaced:
+            angles = _spaced_angles(given, len(ranges), where)
+        else:
+            angles = numbers(entry["angles"], where, "angles", ndim=(1,))
         if len(angles) != len(ranges):
             raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
         _check_angles(angles, where)
