@@ -305,9 +305,8 @@ def _kind_of(path: PathLike) -> _Kind:
     if is_folder(file) and ending not in _KINDS:
         if any(file.glob("*.mcap")) or any(file.glob("*.db3")) or is_there(file / "metadata.yaml"):
             return _BAG
-        raise ScanError(
-            f"{name}: is a folder, expected a file of scans; imgloc batch takes folders"
-        )
+        hint = "expected a file of scans; imgloc batch takes folders"
+        raise ScanError(f"{name}: is a folder, {hint}")
     if ending in _KINDS:
         kind = _KINDS[ending]
         if ending == ".bag" and is_there(file) and not lower.endswith(".gz"):
