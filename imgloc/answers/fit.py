@@ -102,8 +102,7 @@ def fit_at(
     options = replace(options, shared=shared)
     scan, grid = scan.scaled(shared.scale), features.grid
     features = features.thinner(shared.thinner)
-    local = in_grid_frame(pose, grid)
-    at = np.array([[local.x, local.y, local.theta]])
+    at = np.array([[*in_grid_frame(pose, grid)]])
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     if settle and len(readings):
         for part, widths in ((1, FROM_CELLS), (_CLOSER, FROM_CELLS[-1:])):

@@ -464,11 +464,9 @@ def _mended(way: Way, scans: ScanSet, given: Given | None) -> Cause:
 def sensor_poses(scans: ScanSet) -> FloatArray:
     """Poses (N, 3) of the sensors in the odometry's frame."""
     assert scans.odom is not None
-    at = [
-        compose(Pose2D(*pose), scan.T_base_laser or Pose2D(0.0, 0.0))
-        for pose, scan in zip(scans.odom, scans.scans, strict=True)
-    ]
-    return np.array([(p.x, p.y, p.theta) for p in at])
+    mounts = [scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans]
+    pairs = zip(scans.odom, mounts, strict=True)
+    return np.array([[*compose(Pose2D(*pose), mount)] for pose, mount in pairs])
 
 
 def _about_sources(log: Recording, findings: list[Cause]) -> None:

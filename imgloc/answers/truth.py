@@ -60,8 +60,7 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
         xy = scan_xy(scans[k])[scans[k].valid]
         xy = xy[evenly(len(xy), _RAYS)]
         if len(xy) >= _LEAST:
-            local = in_grid_frame(Pose2D(*poses[k]), grid)
-            pose = np.array([local.x, local.y, local.theta])
+            pose = np.array([*in_grid_frame(Pose2D(*poses[k]), grid)])
             shares.append(shares_around(walls, grid.resolution, xy, pose))
     if not shares:
         return None
