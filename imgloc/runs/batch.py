@@ -11,8 +11,6 @@
 
 import contextlib
 import csv
-import hashlib
-import json
 import logging
 import os
 import queue
@@ -39,7 +37,7 @@ from imgloc.io.remote import beside, local
 from imgloc.io.scans import SCAN_ENDINGS, why_no_scans
 from imgloc.model import plain
 from imgloc.runs.hints import Doubtful, hints_of
-from imgloc.runs.jobs import Answer, Item, Job, make_job
+from imgloc.runs.jobs import Answer, Item, Job, hash_of, make_job
 from imgloc.runs.localize import Localize
 from imgloc.runs.opening import Means
 from imgloc.runs.results import RESULTS, Results, Row, read_rows, read_summary
@@ -252,12 +250,9 @@ def remaining(
     digest = job.digest
 
     def settled(item: Item) -> bool:
-        if item.id not in known:
-            return False
-        key, status = known[item.id]
-        if retry_failed and status != "ok":
-            return False
-        return key == key_of(hashes_of(item), digest)
+        key, status = known.get(item.id, ("", ""))
+        done = status == "ok" if retry_failed else bool(key)
+        return done and key == key_of(hashes_of(item), digest)
 
     return [item for item in items if not settled(item)]
 
@@ -399,12 +394,7 @@ def hashes_of(item: Item) -> dict[str, str | None]:
 
 def key_of(hashes: Mapping[str, str | None], parameters: str) -> str:
     """Key of a row: the same contents, parameters and version give the same row."""
-    return _hash([hashes["map"], hashes["scans"], parameters, __version__])
-
-
-def _hash(value: object) -> str:
-    text = json.dumps(value, sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    return hash_of([hashes["map"], hashes["scans"], parameters, __version__])
 
 
 def picture_stem(item: Item) -> str:
@@ -417,7 +407,7 @@ def picture_stem(item: Item) -> str:
     """
     words = f"{item.map}--{item.scans or ''}"
     plainly = "".join(c if c.isascii() and (c.isalnum() or c in "-.") else "-" for c in words)
-    return f"{plainly[:100]}-{_hash(item.id)[:8]}"
+    return f"{plainly[:100]}-{hash_of(item.id)[:8]}"
 
 
 def find_items(
@@ -450,9 +440,8 @@ def find_items(
             raise error(f"{display(path)}: no such file or folder")
     if maps.suffix.lower() == ".csv":
         if scans is not None:
-            raise ConfigError(
-                f"{display(maps)}: its pairs name the scans, expected no other file of scans"
-            )
+            found = "its pairs name the scans, expected no other file of scans"
+            raise ConfigError(f"{display(maps)}: {found}")
         return _pairs(maps, job)
     if scans is not None and not job.with_scans:
         raise ConfigError(f"the job {job.name} looks at maps alone: expected no scans")
@@ -462,14 +451,10 @@ def find_items(
     named_scans = [(None, None)] if scans is None else list(_scans_in(Path(scans), out))
     for named in (named_maps, named_scans):
         _check_names([name for name, _ in named])
-    if job.all_maps:
-        name = display(maps.resolve().name)
-        return [Item(name, s, tuple(named_maps), path) for s, path in named_scans]
-    return [
-        Item(name, s, ((name, path),), scan_path)
-        for name, path in named_maps
-        for s, scan_path in named_scans
-    ]
+    groups = [(display(maps.resolve().name), tuple(named_maps))]
+    if not job.all_maps:
+        groups = [(name, ((name, path),)) for name, path in named_maps]
+    return [Item(name, s, some, path) for name, some in groups for s, path in named_scans]
 
 
 def _check_names(names: Sequence[str | None]) -> None:
@@ -528,11 +513,9 @@ def _pairs(path: Path, job: Job) -> list[Item]:
         raise ConfigError(f"{name}: got the columns {found}, expected map,scans")
     items: dict[tuple[str, str | None], Item] = {}
     for line, row in rows:
-        map_name, scans = row["map"], row.get("scans") or None
-        if not map_name or (scans is None and "scans" in columns):
+        map_name, scans = row["map"], (job.with_scans and row.get("scans")) or None
+        if not map_name or (scans is None and job.with_scans):
             raise ConfigError(f"{name}: line {line}: expected a map and scans")
-        if not job.with_scans:
-            scans = None
         at = beside(path, map_name, MapError)
         taken = None if scans is None else beside(path, scans, ScanError)
         item = Item(display(map_name), None if scans is None else display(scans),

@@ -105,8 +105,7 @@ class Job(Checked, ABC):
     @cached_property
     def digest(self) -> str:
         """Hash of the options and numbers that decide the rows, beside files and version."""
-        text = json.dumps([self.parameters, numbers.digest(self.decided_by)], sort_keys=True)
-        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+        return hash_of([self.parameters, numbers.digest(self.decided_by)])
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -115,6 +114,12 @@ class Job(Checked, ABC):
         for name in ("prior", "threads", "memory_budget"):
             own.get("options", {}).pop(name, None)
         return dict(json.loads(json.dumps(plain(own), default=str)))
+
+
+def hash_of(value: object) -> str:
+    """32 hexadecimal digits of plain values."""
+    text = json.dumps(value, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def job_class(name: str) -> type[Job]:
