@@ -99,6 +99,7 @@ class Locating:
             answers = localize_many(self.features, (scan for _, scan, _ in taken), self.options)
             for (k, scan, truth), answer in zip(taken, answers, strict=True):
                 beside = compared(poses_of(answer.hypotheses), truth, self.job.tolerance)
+                drawn = self.features, answer, scan, truth, self.options, self.title(k)
                 advance()
                 yield Located(
                     row=answer.as_row(k),
@@ -107,15 +108,7 @@ class Locating:
                     ms=answer.timings_ms["localize"],
                     doubtful=answer.verdict != "unique" or beside.get("hit") is False,
                     index=k,
-                    drawn=(
-                        "answer",
-                        self.features,
-                        answer,
-                        scan,
-                        truth,
-                        self.options,
-                        self.title(k),
-                    ),
+                    drawn=("answer", *drawn),
                     scan=scan,
                     truth=truth,
                 )
