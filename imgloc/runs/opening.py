@@ -226,9 +226,15 @@ class Desk:
         *, scans: Sequence[LaserScan] = (), hint: str = COARSER, workers: int = 1,
     ) -> None:  # fmt: skip
         """Check the memory of an answer, its features, scans, in each of several processes."""
-        need, what = answer_need(features, options, name)
+        (rows, columns), lattice = features.grid.occupied.shape, features.lattice
+        own, answer = features.bytes_for(options.method), answer_bytes(features, options)
+        need = own + answer
+        what = (
+            f"{name}: {options.method} on {lattice.height} x {lattice.width} cells of "
+            f"{lattice.resolution:g} m ({-(-answer // MIB)} MiB) with features of "
+            f"{rows} x {columns} cells ({-(-own // MIB)} MiB)"
+        )
         if workers > 1:
-            rows, columns = features.grid.occupied.shape
             need = workers * (need + PROCESS + 2 * rows * columns)
             what, hint = f"{what} in each of {workers} processes", f"use fewer `workers`, {hint}"
         if (held := held_bytes(scans)) >= MIB:
@@ -339,18 +345,6 @@ def image_of(path: Path, reading: Reading) -> tuple[ImageSize, str]:
     image = resolve_settings(path, **reading).image
     size = image_size(image)
     return size, f"{display(image)}: an image of {size.width} x {size.height} pixels"
-
-
-def answer_need(features: MapFeatures, options: Options, name: str) -> tuple[int, str]:
-    """Bytes of an answer and its features, and how an error describes them."""
-    (rows, columns), lattice = features.grid.occupied.shape, features.lattice
-    held, answer = features.bytes_for(options.method), answer_bytes(features, options)
-    what = (
-        f"{name}: {options.method} on {lattice.height} x {lattice.width} cells of "
-        f"{lattice.resolution:g} m ({-(-answer // MIB)} MiB) with features of "
-        f"{rows} x {columns} cells ({-(-held // MIB)} MiB)"
-    )
-    return held + answer, what
 
 
 def held_bytes(scans: Sequence[LaserScan]) -> int:
