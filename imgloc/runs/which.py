@@ -106,11 +106,6 @@ class Choosing:
             path, self.job.maps, self.options, cell=self.job.cell, scans=scans, hint="crop the map"
         )
 
-    def leave_out(self, name: str, error: Unusable) -> None:
-        """Go on without a map."""
-        LOG.warning("left out: %s", error)
-        self.failed[name] = error
-
     def check(self) -> None:
         """Raise an error if no map is left."""
         errors = list(self.failed.values())
@@ -132,7 +127,8 @@ class Choosing:
                 return
             check_options(features, options)
         except (MapError, ConfigError) as error:
-            self.leave_out(name, error)
+            LOG.warning("left out: %s", error)
+            self.failed[name] = error
             yield None
             return
         yield features, options
