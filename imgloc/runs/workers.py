@@ -102,10 +102,9 @@ class Supervisor:
         assert process is not None
         assert process.stdin is not None
         assert process.stdout is not None
-        watch = None
+        watch = threading.Timer(self.timeout or 0.0, self._too_late)
+        watch.daemon = True
         if self.timeout is not None:
-            watch = threading.Timer(self.timeout, self._too_late)
-            watch.daemon = True
             watch.start()
         try:
             process.stdin.write(task)
@@ -117,8 +116,7 @@ class Supervisor:
                 raise OverdueError(self.timeout or 0.0) from None
             raise CrashError(code, self._last_words()) from None
         finally:
-            if watch is not None:
-                watch.cancel()
+            watch.cancel()
         if not done:
             raise value
         result: T = value
