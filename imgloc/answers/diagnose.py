@@ -103,6 +103,8 @@ def doubts(
                    _fitting(scans, some), common_scale(said, options.shared.scale))  # fmt: skip
     if found := trial.calibration(is_bent=bool(bent_)):
         return [found]
+    # Scans that a wrong view has stretched may fit in pieces.
+    bent_ = [replace(one, text=trial.asked + one.text) for one in bent_]
     if fit:
         return bent_
     counts = Counter(verdict for verdict, _ in said)
