@@ -462,11 +462,7 @@ class Service:
             raise ConfigError("scans: expected either it or a body, not both")
 
         def read() -> tuple[list[int], Sent, Prior]:
-            sent = (
-                self._scans_in(body, kind, values)
-                if held is None
-                else Sent(held.scans, held.warnings)
-            )
+            sent = Sent(held.scans, held.warnings) if held else self._scans_in(body, kind, values)
             chosen = Chosen(values["index"]).of(len(sent.scans), "the file", self.bounds.each)
             if len(chosen) > self.bounds.each:
                 most = f"expected at most {self.bounds.each:,} at once; index names some"
@@ -603,11 +599,10 @@ class Service:
         if len(chosen) != 1:
             raise ConfigError(f"index: got {len(chosen)} scans, expected one")
         values, grid, begin = ask.values, site.features.grid, time.perf_counter()
-        options, thinner = site.options(self.core.options), values["thinner"]
-        given: dict[str, Any] = {name: values[name] for name in ("scale", "bent")}
-        if thinner is not None:
-            given["thinner"] = round(thinner / grid.resolution)
-        given = {name: value for name, value in given.items() if value is not None}
+        options, names = site.options(self.core.options), ("scale", "thinner", "bent")
+        given = {name: values[name] for name in names if values[name] is not None}
+        if "thinner" in given:
+            given["thinner"] = round(given["thinner"] / grid.resolution)
         shared = replace(options.shared, **given)
         if shared.thinner > 0 and not site.features.peels:
             raise ConfigError("thinner: the map is too large to make its walls thinner, expected 0")
