@@ -17,7 +17,7 @@ from skimage.filters import threshold_otsu
 from skimage.morphology import skeletonize
 
 from imgloc.errors import ConfigError, MapError, expect
-from imgloc.features.distance import distance_transform
+from imgloc.features.distance import distance_image
 from imgloc.model import BoolArray, Float32Array, FloatArray, Pose2D
 from imgloc.numbers import number
 from imgloc.options import PlanWalls
@@ -498,8 +498,7 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     That is the share of it, 0..1, that other walls enclose by themselves. None if the piece of wall
     around most others is no rectangle, or is a building: has openings, or walls all along.
     """
-    near = distance_transform((~taken).astype(np.uint8)) <= building.PIECE / 2 / cell
-    labels, stats = masks.pieces(near)
+    labels, stats = masks.pieces(distance_image(taken) <= building.PIECE / 2 / cell)
     if len(stats) < 2:
         return None
     ring = taken & (labels == int(np.argmax(masks.spans(stats))))
@@ -522,9 +521,7 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     if not shut or 2 * lengths.max() < np.count_nonzero(loop):
         return None
     longest = free == int(np.argmax(lengths))
-    to_paper, to_rest = (
-        distance_transform((~m).astype(np.uint8)) for m in (longest, loop & ~longest)
-    )
+    to_paper, to_rest = distance_image(longest), distance_image(loop & ~longest)
     line = ring & (depth <= building.THICKEST[-1] / cell) & (to_paper < to_rest)
     # With what is joined to it, as a title block is; the building is larger.
     labels, stats = masks.pieces(ring & ~line)
