@@ -48,7 +48,7 @@ from imgloc.live.lanes import Lane
 from imgloc.live.localizer import Localizer
 from imgloc.live.metrics import Metrics
 from imgloc.live.openapi import KNOWN, OPERATIONS, Operation
-from imgloc.live.parameters import read_query, with_defaults
+from imgloc.live.parameters import read_query
 from imgloc.live.problems import Problem, Refused, problem_of
 from imgloc.live.requests import Sent, map_of, marked_of, scans_of, taken
 from imgloc.live.robots import Robots
@@ -298,8 +298,7 @@ class Service:
         async def run(request: Request) -> Response:
             method = "get" if request.method == "HEAD" else request.method.lower()
             route, does = by_method[method]
-            given = read_query(request.scope["query_string"], route.parameters)
-            values = with_defaults(given, route.parameters)
+            values = read_query(request.scope["query_string"], route.parameters)
             return await does(Ask(request, values, route, self.lanes, self.bounds))
 
         return run
@@ -661,8 +660,7 @@ class Service:
 
     async def _track(self, socket: WebSocket) -> None:
         """A line in, a line out, as `imgloc track --json` has it."""
-        given = read_query(socket.scope["query_string"], openapi.TRACK.parameters)
-        values = with_defaults(given, openapi.TRACK.parameters)
+        values = read_query(socket.scope["query_string"], openapi.TRACK.parameters)
         name = self._site(values["map"])[0]
         try:
             await self.robots.follow(socket, values, name, lambda: self._site(name)[1])
