@@ -168,8 +168,7 @@ class Line:
     def _next(self) -> _Task | None:
         with self._changed:
             self._busy = False
-            while not self._waiting and not self._closed:
-                self._changed.wait()
+            self._changed.wait_for(lambda: self._waiting or self._closed)
             if not self._waiting:
                 return None
             kind = next(iter(self._waiting)).kind
