@@ -78,11 +78,9 @@ def role_of(name: str) -> str:
     words = _WORDS.findall(name.lower())
     for role, stems in _STEMS.items():
         for stem in stems.split():
-            whole = len(stem) < 3 and stem.isascii()
-            short = len(stem) == 3 and stem.isascii()
-            if any(
-                w == stem if whole else w.startswith(stem) if short else stem in w for w in words
-            ):
+            size = len(stem) if stem.isascii() else 4  # one sign may be a whole word
+            fits = str.__eq__ if size < 3 else str.startswith if size == 3 else str.__contains__
+            if any(fits(word, stem) for word in words):
                 return role
     return ""
 
@@ -364,11 +362,9 @@ def _map_of(
 ) -> FloorPlan:  # fmt: skip
     """The map of a floor, and what each pixel around it was taken for."""
     sheet, cell = floor.sheet, floor.sheet.pixel * floor.sheet.parts
-    x, y, wide, high = cv2.boundingRect(
-        (masks.finer(floor.inside, sheet.parts) | floor.walls).astype(np.uint8)
-    )
-    pad = round(_AROUND / cell)
-    n = sheet.parts
+    n, pad = sheet.parts, round(_AROUND / cell)
+    built = masks.finer(floor.inside, n) | floor.walls
+    x, y, wide, high = cv2.boundingRect(built.astype(np.uint8))
     rows, columns = (
         slice(max(0, low // n - pad), -(-(low + size) // n) + pad)
         for low, size in ((y, high), (x, wide))
