@@ -62,8 +62,7 @@ def schema_of(one: Declared) -> dict[str, Any]:
     if get_origin(kind) is tuple:
         if get_args(kind)[-1] is ...:
             item = schema_of(declaration("", get_args(kind)[0]))
-            return {"type": "array", "items": item, "minItems": CORNERS[0],
-                    "maxItems": CORNERS[1]}  # fmt: skip
+            return {"type": "array", "items": item, "minItems": CORNERS[0], "maxItems": CORNERS[1]}
         each = [schema_of(part) for part in parts_of(one)]
         about = {"minItems": len(each) - len(one.rest), "maxItems": len(each)}
         if all(part == each[0] for part in each):
