@@ -261,28 +261,27 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
         )
         for name in _GROUPS
     }
+
+    def made(name: str) -> Callable[..., None]:
+        if named is not None and name not in named:
+            return _unmade
+        from imgloc.cli.command import command
+
+        return command(command_of(name))
+
     for group, commands in _GROUPS.items():
         for name, (about, *lines) in commands.items():
-            if named is not None and name not in named:
-                groups[group].command(name, help=about)(_unmade)
+            if (run := made(name)) is _unmade:
+                groups[group].command(name, help=about)(run)
                 continue
-            from imgloc.cli.command import command
-
             kind, more = _class_of(name)
-            made, epilog = command(command_of(name)), examples(*lines, more=more)
-            groups[group].command(name, cls=kind, epilog=epilog)(made)
+            groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(root)
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."
     )
-    if named is None or "cache" in named:
-        from imgloc.cli.command import command
-
-        made = command(command_of("cache"))
-    else:
-        made = _unmade
-    groups["cache"].callback(help=_CACHED, epilog=examples(*_CACHES))(made)
+    groups["cache"].callback(help=_CACHED, epilog=examples(*_CACHES))(made("cache"))
     app.add_typer(groups["cache"], name="cache")
     return app
 

@@ -116,7 +116,8 @@ def batch(
     refused. See also imgloc report, imgloc export.
     """
     many = opt.count_threads(workers)
-    pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
+    limits: dict[str, Any] = {"timeout": timeout, "memory_limit": memory_limit}
+    pool = None if dask or dry_run else _pool(context, many, limits)
     from imgloc.cli import inputs
     from imgloc.model import to_json
     from imgloc.output.tables import batch_text
@@ -150,7 +151,6 @@ def batch(
     (emit if dry_run else say)(said)
     if dry_run:
         return
-    limits = {"timeout": timeout, "memory_limit": memory_limit}
     with _cluster(dask, workers, limits) as there, _progress(todo) as advance:
         try:
             summary = run_batch(
@@ -188,10 +188,8 @@ def _plan(
     from imgloc.runs.batch import remaining
     from imgloc.runs.results import RESULTS, id_of, read_rows
 
-    there = out is not None and is_there(out / RESULTS)
-    rows = {
-        id_of(row): (row["key"], row["status"]) for row in (read_rows(out) if out and there else ())
-    }
+    found = read_rows(out) if out is not None and is_there(out / RESULTS) else ()
+    rows = {id_of(row): (row["key"], row["status"]) for row in found}
     todo = remaining(items, job, rows, retry_failed=retry_failed)
     maps = len({path for item in items for _, path in item.maps})
     files = len({item.scans_path for item in items if item.scans_path is not None})
@@ -217,30 +215,24 @@ def _refuse(given: Given, job: str) -> None:
     opt.refuse_others(given, {flag: theirs for flag, theirs in of.items() if theirs}, {job})
 
 
-def _pool(
-    context: typer.Context, workers: int, timeout: float, memory_limit: int | None
-) -> "Executor":
+def _pool(context: typer.Context, workers: int, limits: dict[str, Any]) -> "Executor":
     """Workers of this machine until the command ends; one starts while the command does."""
     from imgloc.runs.workers import Supervised
 
-    limits: dict[str, Any] = {"timeout": timeout, "memory_limit": memory_limit}
     pool = Supervised(workers, module="imgloc.runs.batch", **limits)
     context.call_on_close(lambda: pool.shutdown(cancel_futures=True))
     return pool
 
 
-@contextlib.contextmanager
 def _cluster(
     dask: str | None, workers: int | None, limits: dict[str, Any]
-) -> "Iterator[Executor | None]":
+) -> "contextlib.AbstractContextManager[Executor | None]":
     """Workers elsewhere, if they are wanted."""
     if dask is None:
-        yield None
-        return
+        return contextlib.nullcontext()
     from imgloc.runs.cluster import cluster
 
-    with cluster(dask, workers=workers, **limits) as executor:
-        yield executor
+    return cluster(dask, workers=workers, **limits)
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ import contextlib
 import functools
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
@@ -237,7 +237,8 @@ def _parameter(part: _Part, field: Declared) -> inspect.Parameter:
     about["rich_help_panel"] = _PANELS.get(_kind_name(part))
     default = ... if field.default is MISSING else None
     if isinstance(field.limit, OneOf):
-        about["autocompletion"] = _completion(field.limit.names)
+        known = field.limit.names
+        about["autocompletion"] = lambda incomplete: [n for n in known if n.startswith(incomplete)]
     if option.names and not names:
         made = typer.Argument(default, metavar=field.flag, **about)
     else:
@@ -246,15 +247,6 @@ def _parameter(part: _Part, field: Declared) -> inspect.Parameter:
         _key(part, field), inspect.Parameter.KEYWORD_ONLY, default=made,
         annotation=kind if default is ... else kind | None
     )  # fmt: skip
-
-
-def _completion(known: Sequence[str]) -> Callable[[str], list[str]]:
-    """A function that completes, for a shell, a name that begins as was typed."""
-
-    def complete(incomplete: str) -> list[str]:
-        return [name for name in known if name.startswith(incomplete)]
-
-    return complete
 
 
 @contextlib.contextmanager

@@ -14,7 +14,6 @@ import shutil
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
 from typing import Any
 
 import typer
@@ -133,7 +132,7 @@ def instead(message: str, lacks: Mapping[str, str]) -> str:
 class _Lines(logging.Formatter):
     """Log records as lines that a terminal may have."""
 
-    lacks: Mapping[str, str] = MappingProxyType({})
+    lacks: Mapping[str, str]
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(instead(super().format(record), self.lacks))

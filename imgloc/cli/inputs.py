@@ -24,7 +24,6 @@ from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import image_named
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import RADIUS, TOLERANCE, Chosen, Known, Logs, Mounting, Options, Shared
-from imgloc.runs import opening
 from imgloc.runs.jobs import Item
 from imgloc.runs.opening import Desk, MapFiles, ScanFiles
 from imgloc.runs.opening import held_bytes as held_bytes
@@ -71,7 +70,7 @@ def as_recorded(
 def item_of(map_path: Path, scans: Path | None = None) -> Item:
     """One map, and a file of scans or none."""
     where = display(map_path)
-    said = None if scans is None else opening.name_of(scans)
+    said = None if scans is None else name_of(scans)
     return Item(where, said, ((where, map_path),), scans)
 
 

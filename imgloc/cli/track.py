@@ -242,9 +242,7 @@ def _warn(hint: "Cause | None", aged: "Cause | None") -> None:
         LOG.warning("%s", said.said)
 
 
-def _made(
-    tracking: "Tracking", features: "MapFeatures", options: Options, name: str
-) -> "Filter":  # fmt: skip
+def _made(tracking: "Tracking", features: "MapFeatures", options: Options, name: str) -> "Filter":
     """The filter; a warning if no pose of it can be ``unique`` on the map of this name."""
     made = tracking.made(features, options)
     if made.unsure:

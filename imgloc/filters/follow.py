@@ -239,7 +239,12 @@ def _whole(scans: ScanSet, name: str) -> _Steps:
         way, seconds = np.hypot(*increments(odom)[:, :2].T), np.diff(stamps)
     if (leaps := np.flatnonzero(~(way <= _FARTHEST))).size:
         _check_way(name, int(leaps[0]) + 1, float(way[leaps[0]]))
-    _check_speed(name, way, seconds)
+    moving = (way > 0) & (seconds > 0)
+    if moving.any() and (speed := float(np.median(way[moving] / seconds[moving]))) > _FASTEST:
+        raise ScanError(
+            f"{name}: odom: it says {speed:.4g} m/s, expected metres; are these millimetres? "
+            "divide them by 1000"
+        )
     poses = [None] * len(known) if by_scans else list(odom)
     return zip(indices, known.scans, poses, stamps.tolist(), strict=True)
 
@@ -521,15 +526,6 @@ def _check_order(name: str, k: int, before: float, stamp: float) -> None:
         )
 
 
-def _check_speed(name: str, way: FloatArray, seconds: FloatArray) -> None:
-    moving = (way > 0) & (seconds > 0)
-    if moving.any() and (speed := float(np.median(way[moving] / seconds[moving]))) > _FASTEST:
-        raise ScanError(
-            f"{name}: odom: it says {speed:.4g} m/s, expected metres; are these millimetres? "
-            "divide them by 1000"
-        )
-
-
 def _check_way(name: str, k: int, metres: float) -> None:
     if not metres <= _FARTHEST:
         raise ScanError(
@@ -560,17 +556,13 @@ def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
 def start_of(
     given: str, pose: Pose2D, deviation: tuple[float, float], features: MapFeatures
 ) -> FloatArray:
-    """A pose to start at in the grid frame, (3,); a ConfigError that names `given` if it is none.
+    """A pose to start at in the grid frame, (3,).
 
-    `deviation` has its standard deviations, metres and radians.
+    A ConfigError names `given` if it is no pose, or is not on the map. `deviation` has its standard
+    deviations, metres and radians.
     """
     if not all(0 <= value < np.inf for value in deviation):
         raise ConfigError(f"{given}: deviation {deviation}, expected metres and radians from 0")
-    return on_map(given, pose, features)
-
-
-def on_map(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
-    """`pose` in the grid frame, (3,); a ConfigError that names `given` if it is not on the map."""
     if not np.isfinite([*pose]).all():
         raise ConfigError(f"{given}: got {pose}, expected finite metres and radians")
     local, grid = in_grid_frame(pose, features.grid), features.grid

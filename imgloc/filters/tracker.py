@@ -407,22 +407,20 @@ class Tracker:
 
     def see(self, scan: LaserScan) -> None:
         """Weigh the whole belief by a scan. A blind scan changes nothing."""
-        seen = usable(scan, self.options)
-        if seen is not None:
-            self._see(seen)
-
-    def _see(self, scan: LaserScan) -> None:
+        used = usable(scan, self.options)
+        if used is None:
+            return
         how, known = self.how, len(self._poses)
-        laser, view = self._lasers.of(scan), view_of(scan, self.options)
+        laser, view = self._lasers.of(used), view_of(used, self.options)
         new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
         strange = contradicted or self._lasers.doubted or self._lost > how.known
         due = strange or self._unsearched >= self._pause
-        found = self._search(scan, view, due=due, strange=strange, at_once=driven >= how.later)
+        found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.
         if due and len(found.poses) and self._judge_walls(view, found.poses):
-            found = self._search(scan, view, due=True, strange=True)
+            found = self._search(used, view, due=True, strange=True)
             known = len(self._poses)
         near = settled(self.features, view, self._poses, self._covariance)
         poses = np.concatenate((self._poses, near, found.poses))

@@ -429,17 +429,10 @@ def agreement(a: Side, b: Side, bend: Bend) -> Agreement:
     straight = _rigid(bend.pose)
     hit = missed = 0.0
     away, moved = list[FloatArray](), list[FloatArray]()
+    onto, back = theta + bend.shift(b.xy)[1], -theta - bend.shift(straight.back(a.xy))[1]
     for one, other, put, flat, turn, size, off in (
-        (b, a, bend.onto, straight.onto, theta + bend.shift(b.xy)[1], 1.0, -thicker),
-        (
-            a,
-            b,
-            bend.back,
-            straight.back,
-            -theta - bend.shift(straight.back(a.xy))[1],
-            scale,
-            thicker,
-        ),
+        (b, a, bend.onto, straight.onto, onto, 1.0, -thicker),
+        (a, b, bend.back, straight.back, back, scale, thicker),
     ):
         near, length = max(_NEAR, 1.5 * a.grid.resolution), one.length
         xy = put(one.xy)

@@ -91,7 +91,13 @@ def beam(
     n_psi, k = len(distances), len(thetas)
     if threads < 1:
         raise ConfigError(f"threads must be at least 1, got {threads}")
-    _check_model(sigma, sigma_theta, hit, short, span)
+    if not (sigma > 0 and sigma_theta >= 0 and span > 0):
+        raise ConfigError(
+            f"sigma {sigma} and span {span} must be positive, "
+            f"sigma_theta {sigma_theta} not negative"
+        )
+    if not (hit >= 0 and short >= 0 and hit + short < 1):
+        raise ConfigError(f"hit {hit} and short {short} must be shares with a sum below 1")
 
     floors = (1 - hit - short) / span, (1 - hit) / span
     beams = []
@@ -120,17 +126,6 @@ def beam(
     tops = range(0, distances.shape[1], rows)
     over_slices(work, [(index, top) for index in range(k) for top in tops], threads)
     return out
-
-
-def _check_model(sigma: float, sigma_theta: float, hit: float, short: float, span: float) -> None:
-    """Refuse parameters that are out of their ranges."""
-    if not (sigma > 0 and sigma_theta >= 0 and span > 0):
-        raise ConfigError(
-            f"sigma {sigma} and span {span} must be positive, "
-            f"sigma_theta {sigma_theta} not negative"
-        )
-    if not (hit >= 0 and short >= 0 and hit + short < 1):
-        raise ConfigError(f"hit {hit} and short {short} must be shares with a sum below 1")
 
 
 def _check(

@@ -127,10 +127,28 @@ def ght_v(
                 f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
                 f"got {visibility.shape}"
             )
-    out = output_stack(out, lattice)
-    out.fill(0)
-    vote(surface, visibility, points, resolution, out, once=once, threads=threads)
-    return out
+    votes = output_stack(out, lattice)
+    votes.fill(0)
+    pairs = pair_up(surface, visibility, points, n_theta, resolution)
+    blocks = blocks_of(len(pairs.w), len(pairs.x), once)
+    size = max(((i.stop - i.start) * (j.stop - j.start) for i, j in blocks), default=0)
+    # A stack costs about as much as half a vote for each of its cells.
+    threads = min(threads, 1 + 2 * len(pairs.w) * len(pairs.x) // votes.size)
+    spare, first = list[Float32Array](), iter([votes])
+
+    def work(share: Iterable[tuple[slice, slice]]) -> None:
+        stack = next(first, None)
+        if stack is None:
+            stack = np.zeros_like(votes)
+            spare.append(stack)
+        voter = Voter(pairs, stack, size, once)
+        for i, j in share:
+            voter.cast(i, j)
+
+    over_slices(work, blocks, threads)
+    for stack in spare:  # whole numbers: their order does not matter
+        np.add(votes, stack, out=votes)
+    return votes
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,35 +306,3 @@ class Voter:
         # points vote there.
         for part in np.split(chosen, np.cumsum(np.count_nonzero(keep, axis=1))[:-1]):
             self.stack[part] += 1
-
-
-def vote(
-    surface: OrientedPoints,
-    visibility: Float32Array | None,
-    points: OrientedPoints,
-    resolution: float,
-    out: Float32Array,
-    *,
-    once: bool = False,
-    threads: int = 1,
-) -> None:
-    """Add the votes of all pairs to a stack (K, H, W): Alg. 5, Alg. 4 without visibility."""
-    pairs = pair_up(surface, visibility, points, len(out), resolution)
-    blocks = blocks_of(len(pairs.w), len(pairs.x), once)
-    size = max(((i.stop - i.start) * (j.stop - j.start) for i, j in blocks), default=0)
-    # A stack costs about as much as half a vote for each of its cells.
-    threads = min(threads, 1 + 2 * len(pairs.w) * len(pairs.x) // out.size)
-    spare, first = list[Float32Array](), iter([out])
-
-    def work(share: Iterable[tuple[slice, slice]]) -> None:
-        stack = next(first, None)
-        if stack is None:
-            stack = np.zeros_like(out)
-            spare.append(stack)
-        voter = Voter(pairs, stack, size, once)
-        for i, j in share:
-            voter.cast(i, j)
-
-    over_slices(work, blocks, threads)
-    for stack in spare:  # whole numbers: their order does not matter
-        np.add(out, stack, out=out)

@@ -1,6 +1,5 @@
 """The stack of a method by its name."""
 
-from collections.abc import Sequence
 from typing import Protocol
 
 from imgloc.errors import ConfigError, expect
@@ -61,16 +60,17 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     if isinstance(options, str):
         options = Options(options)
     expect(features, MapFeatures, "features")
-    check_method(options.method, tuple(METHODS))
-    thetas, lattice = options.thetas, features.lattice
     method, threads, budget = options.method, options.threads, options.memory_budget
+    if method not in METHODS:
+        raise ConfigError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    thetas, lattice = options.thetas, features.lattice
     n, shape = len(thetas), lattice.shape
     need = stack_bytes(method, shape, n, threads=threads, n_rays=features.n_rays)
     what = f"{method} on {n} headings x {shape[0]} x {shape[1]} cells"
     check_budget(need, budget, what, "use larger cells, a larger theta step, or the method 'fused'")
-    engine = options.engine
     values = stack_of(
-        method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
+        method, features, scan, thetas,
+        engine=options.engine, threads=threads, memory_budget=budget,
     )  # fmt: skip
     values.flags.writeable = False  # nobody else has it: no need of a copy
     return Likelihood(values, thetas, lattice, method, scan)
@@ -79,32 +79,22 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
 def held_stack(
     stack: "Likelihood | Stack | None", features: MapFeatures, scan: LaserScan, options: Options
 ) -> Likelihood | None:
-    """The stack that is given, or that a function of the user makes; ConfigError as the next."""
+    """The stack that is given, or that a function of the user makes.
+
+    A stack of another known method, or of another map or scan, raises a ConfigError.
+    """
     if stack is None:
         return None
     made = stack(features, scan) if callable(stack) else stack
-    check_stack(made, features, scan, options)
-    return made
-
-
-def check_stack(
-    stack: Likelihood, features: MapFeatures, scan: LaserScan, options: Options
-) -> None:
-    """Raise a ConfigError if a stack is of another known method, or of another map or scan."""
-    expect(stack, Likelihood, "stack")
-    if stack.method in METHODS and stack.method != options.method:
-        raise ConfigError(f"stack: got one of {stack.method}, expected one of {options.method}")
-    of, here = ((*g.shape, g.resolution) for g in (stack.grid, features.lattice))
+    expect(made, Likelihood, "stack")
+    if made.method in METHODS and made.method != options.method:
+        raise ConfigError(f"stack: got one of {made.method}, expected one of {options.method}")
+    of, here = ((*g.shape, g.resolution) for g in (made.grid, features.lattice))
     if of != here:
         raise ConfigError(f"stack: got rows, columns, cell {of}, expected {here}: of another map?")
-    if stack.scan is not None and stack.scan.digest != scan.digest:
-        raise ConfigError(f"stack: got one of another scan, {stack.scan!r}, expected {scan!r}")
-
-
-def check_method(name: str, known: Sequence[str]) -> None:
-    """Raise a ConfigError that names the `known` methods if `name` is none of them."""
-    if name not in known:
-        raise ConfigError(f"method must be one of {', '.join(known)}, got {name!r}")
+    if made.scan is not None and made.scan.digest != scan.digest:
+        raise ConfigError(f"stack: got one of another scan, {made.scan!r}, expected {scan!r}")
+    return made
 
 
 def stack_of(

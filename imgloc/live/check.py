@@ -137,9 +137,8 @@ class _Ear:
             link = None
         elif link is None:
             found = f"tf does not say where {frame} sits on {base}"
-            return Row(
-                f"{heard.name} mount", found, "publish it, or set the parameter sensor to X,Y,YAW"
-            ), []
+            do = "publish it, or set the parameter sensor to X,Y,YAW"
+            return Row(f"{heard.name} mount", found, do), []
         chosen = [heard.messages[i] for i in np.linspace(0, len(heard.messages) - 1, _SCANS)
                   .astype(int)]  # fmt: skip
         at = mounts[k] if mounts is not None else None

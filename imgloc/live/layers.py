@@ -129,9 +129,8 @@ def seen_from(features: MapFeatures, at: tuple[float, float]) -> dict[str, objec
     if len(surface) == 0:
         raise MapError("the map has no surface: no occupied cell borders on a free one")
     angles = np.arange(_CORNERS) * (2 * np.pi / _CORNERS)
-    reach = np.minimum(
-        cast_rays(features.walls, xy, angles, features.horizon, grid.resolution), features.horizon
-    )
+    ranges = cast_rays(features.walls, xy, angles, features.horizon, grid.resolution)
+    reach = np.minimum(ranges, features.horizon)
     ends = xy + reach[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
     nearest = int(np.argmin(np.hypot(*(surface.xy - xy).T)))
     point = transform_points(grid.origin, surface.xy[nearest : nearest + 1])[0]

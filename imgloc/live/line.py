@@ -113,14 +113,14 @@ class Line:
         _drop(old, "replaced")
         return task.future
 
-    def clear(self, kind: Hashable, why: str = "reset") -> None:
+    def clear(self, kind: Hashable) -> None:
         """Drop all work of one kind that waits."""
         with self._changed:
             gone = [self._waiting.pop(key) for key in tuple(self._waiting) if key.kind == kind]
             for task in gone:
                 self._count(task.key)
         for task in gone:
-            _drop(task, why)
+            _drop(task, "reset")
 
     def count(self, key: Key) -> None:
         """Count a scan that was dropped while the worker was at it."""
@@ -168,8 +168,7 @@ class Line:
     def _next(self) -> _Task | None:
         with self._changed:
             self._busy = False
-            while not self._waiting and not self._closed:
-                self._changed.wait()
+            self._changed.wait_for(lambda: self._waiting or self._closed)
             if not self._waiting:
                 return None
             kind = next(iter(self._waiting)).kind

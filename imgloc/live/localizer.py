@@ -733,15 +733,13 @@ class Robot:
         if self in self._core._robots:
             self._core._robots.remove(self)
 
-    def _made(self, site: Site, name: str) -> Follower:
-        how = site.options(self._options or self._core.options)
-        return self.tracking.follower(site.features, how, name)
-
     def _following(self) -> tuple[str, Follower]:
         """Name of the map, and the follower in it."""
         name = self._core._entry(self.map)[0]
         if self._follower is None:
-            self._follower = self._made(self._core._ready(name)[1], "update")
+            site = self._core._ready(name)[1]
+            how = site.options(self._options or self._core.options)
+            self._follower = self.tracking.follower(site.features, how, "update")
             if self._start is not None:
                 self._follower.place(*self._start)
         return name, self._follower

@@ -319,7 +319,7 @@ class LocalizerNode:
         )  # fmt: skip
         for (name, cloud), laser in zip(self.settings.topics, self.lasers, strict=True):
             kind = ros.sensor_msgs.PointCloud2 if cloud else ros.sensor_msgs.LaserScan
-            laser.topic = self._hear(kind, name, self._scan_of(laser), sensor)
+            laser.topic = self._hear(kind, name, partial(self._on_scan, laser), sensor)
         self._hear(ros.nav_msgs.Odometry, "odom", self._on_odometry, sensor)
         if self.from_topic:
             self._map_topic = self._hear(ros.nav_msgs.OccupancyGrid, "map", self._on_map, latched)
@@ -393,9 +393,6 @@ class LocalizerNode:
         """Seconds of the clock that stamps are of."""
         return float(self.node.get_clock().now().nanoseconds) * 1e-9
 
-    def _scan_of(self, laser: Topic) -> Callable[[Any], None]:
-        return lambda message: self._on_scan(laser, message)
-
     def _on_scan(self, laser: Topic, message: Any) -> None:
         before, laser.heard = laser.heard, time.monotonic()
         now = self.now
@@ -420,11 +417,9 @@ class LocalizerNode:
                 self._repeat(laser, now)
             return
         content = (scan.points if isinstance(scan, Cloud) else scan.ranges).tobytes()
-        again, laser.ranges = content == laser.ranges, content
-        if again:
-            laser.frozen = True
-        else:
-            laser.fresh, laser.frozen = laser.heard, False
+        laser.frozen, laser.ranges = content == laser.ranges, content
+        if not laser.frozen:
+            laser.fresh = laser.heard
         frame = frame_name(message.header.frame_id)
         lost = laser.mount is None and self._frames.path(frame, self.settings.base_frame) is None
         laser.frame = printable(frame)[:_NAME] if lost else ""
@@ -525,11 +520,7 @@ class LocalizerNode:
 
     def _on_map(self, message: Any) -> None:
         frame, info = frame_name(message.header.frame_id), message.info
-        at = info.origin
-        place = [getattr(at.position, k) for k in "xyz"] + [
-            getattr(at.orientation, k) for k in "xyzw"
-        ]
-        same = (frame, info.resolution, info.width, info.height, *place, bytes(message.data))
+        same = (frame, info.resolution, info.width, info.height, info.origin, bytes(message.data))
         if same == self._map:
             self._map_error = ""
             return  # the same map once more: it is latched, or published each few seconds
@@ -907,9 +898,7 @@ class LocalizerNode:
         if self.first.fresh(found.stamp, self.now):
             return True
         then, here = self._odometry(found.stamp), self._odometry(self.now)
-        if then is None or here is None:
-            return False
-        return _still(then, here)
+        return then is not None and here is not None and _still(then, here)
 
     # Services.
 

@@ -11,7 +11,7 @@ imgloc.live.problems.Refused: near: got R 0, expected metres, 0.01 to 1e+06
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import MISSING, replace
 from typing import Annotated, Any, get_args, get_origin
 from urllib.parse import parse_qsl
@@ -62,8 +62,7 @@ def schema_of(one: Declared) -> dict[str, Any]:
     if get_origin(kind) is tuple:
         if get_args(kind)[-1] is ...:
             item = schema_of(declaration("", get_args(kind)[0]))
-            return {"type": "array", "items": item, "minItems": CORNERS[0],
-                    "maxItems": CORNERS[1]}  # fmt: skip
+            return {"type": "array", "items": item, "minItems": CORNERS[0], "maxItems": CORNERS[1]}
         each = [schema_of(part) for part in parts_of(one)]
         about = {"minItems": len(each) - len(one.rest), "maxItems": len(each)}
         if all(part == each[0] for part in each):
@@ -83,7 +82,7 @@ def schema_of(one: Declared) -> dict[str, Any]:
 
 
 def read_query(query: bytes, parameters: Sequence[Declared]) -> dict[str, Any]:
-    """The values of a query string by their names; defaults are not put in.
+    """The values of a query string by their names; what is not in it has its default.
 
     What is unknown, comes twice, is missing or wrong is refused.
     """
@@ -107,7 +106,7 @@ def read_query(query: bytes, parameters: Sequence[Declared]) -> dict[str, Any]:
         if one.default is MISSING and one.name not in out:
             expected = one.text if one.limit is None else expected_of(one.kind, one.limit)
             raise Refused("bad-parameter", f"{one.name}: missing, expected {expected}")
-    return out
+    return {one.name: out.get(one.name, one.default) for one in parameters}
 
 
 def _value(one: Declared, text: str) -> Any:
@@ -119,8 +118,3 @@ def _value(one: Declared, text: str) -> Any:
         return text == "true" if one.kind is bool else value_of(one, text)
     except ConfigError as error:
         raise Refused("bad-parameter", f"{one.name}: {error}") from None
-
-
-def with_defaults(given: Mapping[str, Any], parameters: Sequence[Declared]) -> dict[str, Any]:
-    """The values with the defaults of those that were not given."""
-    return {one.name: given.get(one.name, one.default) for one in parameters}

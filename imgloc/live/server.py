@@ -27,7 +27,6 @@ from imgloc.live.openapi import TRACK
 from imgloc.live.service import Service
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_FIRST, _LAST = 0, 65_535  #: ports
 _ANSWERED, _SENT, _ENDED = 3, 4, 4.6  # seconds from a signal until what runs is given up, is cut
 _UNREAD = 1 << 16  # bytes of answers that a client has not read yet
 _SWITCH = 5e-4  # seconds after which the loop has its turn while a thread computes in Python
@@ -125,8 +124,6 @@ def bound(host: str, port: int) -> socket.socket:
     ...     one.getsockname()[1] > 0
     True
     """
-    if not _FIRST <= port <= _LAST:
-        raise ConfigError(f"port: got {port}, expected {_FIRST} to {_LAST}")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, proto=socket.IPPROTO_TCP

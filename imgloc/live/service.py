@@ -48,7 +48,7 @@ from imgloc.live.lanes import Lane
 from imgloc.live.localizer import Localizer
 from imgloc.live.metrics import Metrics
 from imgloc.live.openapi import KNOWN, OPERATIONS, Operation
-from imgloc.live.parameters import read_query, with_defaults
+from imgloc.live.parameters import read_query
 from imgloc.live.problems import Problem, Refused, problem_of
 from imgloc.live.requests import Sent, map_of, marked_of, scans_of, taken
 from imgloc.live.robots import Robots
@@ -298,8 +298,7 @@ class Service:
         async def run(request: Request) -> Response:
             method = "get" if request.method == "HEAD" else request.method.lower()
             route, does = by_method[method]
-            given = read_query(request.scope["query_string"], route.parameters)
-            values = with_defaults(given, route.parameters)
+            values = read_query(request.scope["query_string"], route.parameters)
             return await does(Ask(request, values, route, self.lanes, self.bounds))
 
         return run
@@ -462,11 +461,7 @@ class Service:
             raise ConfigError("scans: expected either it or a body, not both")
 
         def read() -> tuple[list[int], Sent, Prior]:
-            sent = (
-                self._scans_in(body, kind, values)
-                if held is None
-                else Sent(held.scans, held.warnings)
-            )
+            sent = Sent(held.scans, held.warnings) if held else self._scans_in(body, kind, values)
             chosen = Chosen(values["index"]).of(len(sent.scans), "the file", self.bounds.each)
             if len(chosen) > self.bounds.each:
                 most = f"expected at most {self.bounds.each:,} at once; index names some"
@@ -603,11 +598,10 @@ class Service:
         if len(chosen) != 1:
             raise ConfigError(f"index: got {len(chosen)} scans, expected one")
         values, grid, begin = ask.values, site.features.grid, time.perf_counter()
-        options, thinner = site.options(self.core.options), values["thinner"]
-        given: dict[str, Any] = {name: values[name] for name in ("scale", "bent")}
-        if thinner is not None:
-            given["thinner"] = round(thinner / grid.resolution)
-        given = {name: value for name, value in given.items() if value is not None}
+        options, names = site.options(self.core.options), ("scale", "thinner", "bent")
+        given = {name: values[name] for name in names if values[name] is not None}
+        if "thinner" in given:
+            given["thinner"] = round(given["thinner"] / grid.resolution)
         shared = replace(options.shared, **given)
         if shared.thinner > 0 and not site.features.peels:
             raise ConfigError("thinner: the map is too large to make its walls thinner, expected 0")
@@ -666,8 +660,7 @@ class Service:
 
     async def _track(self, socket: WebSocket) -> None:
         """A line in, a line out, as `imgloc track --json` has it."""
-        given = read_query(socket.scope["query_string"], openapi.TRACK.parameters)
-        values = with_defaults(given, openapi.TRACK.parameters)
+        values = read_query(socket.scope["query_string"], openapi.TRACK.parameters)
         name = self._site(values["map"])[0]
         try:
             await self.robots.follow(socket, values, name, lambda: self._site(name)[1])

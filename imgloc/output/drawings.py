@@ -28,18 +28,16 @@ def draw_answer(
 
     Only an answer that is not unique, or wrong, has a page that explains it ray by ray.
     """
-    out = {
-        "poses": encode_picture(draw(features.grid, answer, scan, truth=truth, title=title).image)
-    }
-    if answer.verdict != "invalid":
-        layer = layer_of(features, scan, options)
-        if layer.likelihood is not None:
-            picture = draw(features.grid, layer.likelihood, title=title).image
-            out["likelihood"] = encode_picture(picture)
-    wrong = False
-    if truth is not None and answer.best is not None:
-        wrong = difference(answer.best, truth)[0] > TOLERANCES[-1].position
-    if (answer.verdict != "unique" or wrong) and answer.verdict != "invalid":
+    picture = draw(features.grid, answer, scan, truth=truth, title=title)
+    out = {"poses": encode_picture(picture.image)}
+    if answer.verdict == "invalid":
+        return out
+    layer = layer_of(features, scan, options)
+    if layer.likelihood is not None:
+        picture = draw(features.grid, layer.likelihood, title=title)
+        out["likelihood"] = encode_picture(picture.image)
+    away = 0.0 if truth is None or answer.best is None else difference(answer.best, truth)[0]
+    if answer.verdict != "unique" or away > TOLERANCES[-1].position:
         reason = explain(features, scan, answer, options)
         out["why.html"] = render_explanation(reason, title, truth=truth).encode()
     return out

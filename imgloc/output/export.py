@@ -6,7 +6,7 @@ names of nested values are joined by an underscore, and lists are JSON texts.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from imgloc.errors import ConfigError, OutputError
@@ -37,7 +37,7 @@ def as_bytes(folder: PathLike, ending: str) -> bytes:
 
 def columns_of(folder: PathLike) -> Columns:
     """The table, column by column; what a row does not have is None."""
-    describe = _DESCRIBED.get(str(read_run(folder)["job"]), _flat)
+    describe = _located if read_run(folder)["job"] == "localize" else _flat
     columns: Columns = {}
     count = 0
     for row in read_rows(folder):
@@ -104,7 +104,6 @@ def _flat(answer: Row) -> Row:
     return {key: json.dumps(v) if isinstance(v, list) else v for key, v in said.items()}
 
 
-_DESCRIBED: Mapping[str, Callable[[Row], Row]] = {"localize": _located}
 _BEST = (
     "index", "verdict", "x", "y", "theta", "mass", "second_mass", "elsewhere", "explained",
     "misfit", "hit", "error_position", "error_heading", "truth_x", "truth_y", "truth_theta", "ms",

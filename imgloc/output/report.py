@@ -114,13 +114,7 @@ _MAPS = (
     Column("error", "median error", 3, "m"),
     Column("ms", "median time", 0, "ms"),
 )
-_FAILURES = (
-    Column("map", "map"),
-    Column("scans", "scans"),
-    Column("status", "status"),
-    Column("code", "code"),
-    Column("message", "message"),
-)
+_FAILURES = [Column(key, key) for key in ("map", "scans", "status", "code", "message")]
 
 
 @dataclass

@@ -328,11 +328,7 @@ def _counted(kinds: npt.NDArray[np.uint8], swings: int, pixel: float) -> tuple[R
     for k in range(Kind.SWING, len(KINDS)):
         mask = kinds == k
         sizes = masks.pieces(mask)[1][1:, cv2.CC_STAT_AREA]
-        count = (
-            swings
-            if k == Kind.SWING
-            else int(np.count_nonzero(sizes > (THINNEST / 2 / pixel) ** 2))
-        )
-        if count:
+        large = int(np.count_nonzero(sizes > (THINNEST / 2 / pixel) ** 2))
+        if count := swings if k == Kind.SWING else large:
             out.append(Removed(KINDS[k], count, float(np.count_nonzero(mask)) * pixel**2))
     return tuple(out)

@@ -78,11 +78,9 @@ def role_of(name: str) -> str:
     words = _WORDS.findall(name.lower())
     for role, stems in _STEMS.items():
         for stem in stems.split():
-            whole = len(stem) < 3 and stem.isascii()
-            short = len(stem) == 3 and stem.isascii()
-            if any(
-                w == stem if whole else w.startswith(stem) if short else stem in w for w in words
-            ):
+            size = len(stem) if stem.isascii() else 4  # one sign may be a whole word
+            fits = str.__eq__ if size < 3 else str.startswith if size == 3 else str.__contains__
+            if any(fits(word, stem) for word in words):
                 return role
     return ""
 
@@ -159,11 +157,8 @@ class Sheet:
             cv2.fillPoly(out, some, 1, cv2.LINE_8, _BITS)
         # What is wider than any pillar is paper, or the colour of a floor.
         labels, stats = masks.pieces(out > 0)
-        pillar = (
-            2 * self.pixel * masks.greatest(masks.depth(out > 0), labels, out > 0, len(stats))
-            < _PILLARS
-        )
-        return np.asarray((out > 0) & pillar[labels])
+        wide = 2 * self.pixel * masks.greatest(masks.depth(out > 0), labels, out > 0, len(stats))
+        return np.asarray((out > 0) & (wide < _PILLARS)[labels])
 
     def on(self, point: FloatArray, cells: BoolArray, cell: float) -> bool:
         """Return whether a point of the drawing is on some cells."""
@@ -270,9 +265,8 @@ class Floor:
     def has(self, door: Door) -> bool:
         """Return whether a door is in the building, or in a wall of it."""
         cell = self.sheet.pixel * self.sheet.parts
-        return self.sheet.on(
-            door.closed, masks.grown(self.inside, round(building.GAPS[0] / cell)), cell
-        )
+        near = masks.grown(self.inside, round(building.GAPS[0] / cell))
+        return self.sheet.on(door.closed, near, cell)
 
 
 def _floors(
@@ -311,16 +305,11 @@ def _floors_of(
         )
     sheet = Sheet(low, cell / parts, parts, tuple((size * parts).tolist()), unit)
     drawn = sheet.lines(strokes)
-    solid = sheet.areas(strokes) | sheet.lines(
-        s for s in strokes if s.wide * unit >= building.THINNEST
-    )
     shut = sheet.lines(Stroke(np.array([d.hinge, d.closed]), "") for d in leaves)
-    walls = _bodies(drawn | solid, sheet.pixel, thickest, named=named)
+    walls = _bodies(drawn | sheet.areas(strokes), sheet.pixel, thickest, named=named)
     if not named:  # lines are walls only beside what is between two of them
-        pair = building.standing(
-            masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel)), drawn, sheet.pixel
-        )
-        walls = pair[0] | pair[1]
+        thick = masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel))
+        walls = np.logical_or(*building.standing(thick, drawn, sheet.pixel))
     taken = masks.coarser(walls | shut, parts) > 0
     # Without a known door no leaf joins the walls beside it.
     near = building.GAPS[0 if leaves else 1] / cell
@@ -373,11 +362,9 @@ def _map_of(
 ) -> FloorPlan:  # fmt: skip
     """The map of a floor, and what each pixel around it was taken for."""
     sheet, cell = floor.sheet, floor.sheet.pixel * floor.sheet.parts
-    x, y, wide, high = cv2.boundingRect(
-        (masks.finer(floor.inside, sheet.parts) | floor.walls).astype(np.uint8)
-    )
-    pad = round(_AROUND / cell)
-    n = sheet.parts
+    n, pad = sheet.parts, round(_AROUND / cell)
+    built = masks.finer(floor.inside, n) | floor.walls
+    x, y, wide, high = cv2.boundingRect(built.astype(np.uint8))
     rows, columns = (
         slice(max(0, low // n - pad), -(-(low + size) // n) + pad)
         for low, size in ((y, high), (x, wide))

@@ -17,7 +17,7 @@ from skimage.filters import threshold_otsu
 from skimage.morphology import skeletonize
 
 from imgloc.errors import ConfigError, MapError, expect
-from imgloc.features.distance import distance_transform
+from imgloc.features.distance import distance_image
 from imgloc.model import BoolArray, Float32Array, FloatArray, Pose2D
 from imgloc.numbers import number
 from imgloc.options import PlanWalls
@@ -325,10 +325,8 @@ def _between_lines(
     body = masks.closed(holes, across) & (drawn | holes)
     body = masks.grown(body, round(line / 2)) & (drawn | body)
     # A narrow hatched wall is more ink than paper.
-    dense = masks.opened(drawn | holes, _DENSE * line) & masks.grown(
-        holes, round(building.THINNEST / pixel)
-    )
-    body |= dense
+    beside = masks.grown(holes, round(building.THINNEST / pixel))
+    body |= masks.opened(drawn | holes, _DENSE * line) & beside
     if thickest > building.THICKEST[0]:  # so thick are cupboards, too, but outer walls are longer
         labels, stats = masks.pieces(masks.opened(body, building.THICKEST[0] / pixel))
         span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
@@ -500,9 +498,7 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     That is the share of it, 0..1, that other walls enclose by themselves. None if the piece of wall
     around most others is no rectangle, or is a building: has openings, or walls all along.
     """
-    labels, stats = masks.pieces(
-        distance_transform((~taken).astype(np.uint8)) <= building.PIECE / 2 / cell
-    )
+    labels, stats = masks.pieces(distance_image(taken) <= building.PIECE / 2 / cell)
     if len(stats) < 2:
         return None
     ring = taken & (labels == int(np.argmax(masks.spans(stats))))
@@ -512,9 +508,8 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     if np.count_nonzero(within) <= building.ENOUGH * np.prod(cv2.minAreaRect(hull)[1]):
         return None
     # A hall has doors, and may have a few small rooms.
-    shut = np.count_nonzero(
-        building.enclosed(ring, building.THICKEST[0] / 2 / cell)
-    ) > 0.5 * np.count_nonzero(within)
+    rooms = building.enclosed(ring, building.THICKEST[0] / 2 / cell)
+    shut = np.count_nonzero(rooms) > 0.5 * np.count_nonzero(within)
     middle, depth = skeletonize(ring), masks.depth(within)
     along = np.count_nonzero(middle & (depth <= 2 * building.PIECE / cell))
     if len(stats) > 2 and 2 * along > np.count_nonzero(middle):
@@ -526,9 +521,7 @@ def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] |
     if not shut or 2 * lengths.max() < np.count_nonzero(loop):
         return None
     longest = free == int(np.argmax(lengths))
-    to_paper, to_rest = (
-        distance_transform((~m).astype(np.uint8)) for m in (longest, loop & ~longest)
-    )
+    to_paper, to_rest = distance_image(longest), distance_image(loop & ~longest)
     line = ring & (depth <= building.THICKEST[-1] / cell) & (to_paper < to_rest)
     # With what is joined to it, as a title block is; the building is larger.
     labels, stats = masks.pieces(ring & ~line)

@@ -129,9 +129,7 @@ def _unfolded(document: Any) -> Iterator[Stroke]:
             raise MapError(f"its blocks unfold to more than {MOST:,} entities: a bomb?")
         layer = layer if entity.dxf.layer == "0" else entity.dxf.layer
         own = entity.dxf.get("linetype", "BYLAYER").lower()
-        line = (
-            lines.get(layer.lower(), "") if own == "bylayer" else line if own == "byblock" else own
-        )
+        line = {"bylayer": lines.get(layer.lower(), ""), "byblock": line}.get(own, own)
         if layer.lower() in off or entity.dxf.get("invisible", 0):
             continue
         kind = entity.dxftype()

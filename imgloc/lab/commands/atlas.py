@@ -56,10 +56,9 @@ def atlas(
     poses, options = _poses(map_path, grid, desk, sensor, step, headings, count)
     about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(sensor))}
     scans, spots = simulate_at(grid, poses, sensor, seed, fine_image(map_path, grid)), list[Spot]()
+    many = _useful(count, len(scans))
     with progress("atlas", len(scans), lines=False) as advance:
-        for spot in survey(
-            grid, scans, options, sigma=sensor.sigma, workers=_useful(count, len(scans))
-        ):
+        for spot in survey(grid, scans, options, sigma=sensor.sigma, workers=many):
             spots.append(spot)
             advance()
     title = f"{map_name(map_path)}: is one scan enough? {len(spots):,} scans, {step:g} m apart"

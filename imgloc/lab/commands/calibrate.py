@@ -111,15 +111,7 @@ def calibrate(
     check_trials(count * len(paths))
     desk = inputs.desk_of(**vars(taken))
     grids = _grids(paths, read, desk)
-    plans = {
-        name: Options(
-            name,
-            theta_step=theta_step,
-            threads=taken.threads,
-            memory_budget=taken.memory_budget,
-        )
-        for name in method
-    }
+    plans = {name: Options(name, theta_step=theta_step, **vars(taken)) for name in method}
     for path, grid in zip(paths, grids, strict=True):
         name, world = display(path), is_world(path, grid)
         desk.check_simulation(grid, name, count, sensor.rays, world=world, sets=3 * len(grids))

@@ -111,8 +111,7 @@ def evaluate(
                 trials, source = _recorded(file, how, desk)
             plans = []  # all of them are checked before the first one takes its time
             for one in method:
-                plan = evaluation.method_options(one, theta_step, taken.threads)
-                plan = replace(plan, memory_budget=taken.memory_budget)
+                plan = replace(evaluation.method_options(one, theta_step), **vars(taken))
                 known = calibrated(plan, path, grid)
                 if file is None:  # scans simulated in the map have no error of its scale
                     known = replace(known, shared=plan.shared)
