@@ -344,7 +344,7 @@ class _Trial:
     def _refined(self, times: float) -> float:
         """A factor on the ranges that is found again from where it was: one search ends near.
 
-        It is 1 if most scans fit nowhere with it: on a map of another place many end at a bound.
+        It is 1 if most scans have no one place with it: on a map of another place many end at a bound.
         """
         known, fit = self.options.shared, 0
         for _ in range(2):
@@ -352,7 +352,7 @@ class _Trial:
             options = replace(self.options, shared=shared)
             answers = [localize(self.features, self.scans[k], options) for k in self.tried]
             times = float(np.median([a.evidence.scale for a in answers])) / known.scale
-            fit = sum(answer.verdict in SURE for answer in answers)
+            fit = sum(answer.verdict == "unique" for answer in answers)
         return times if 2 * fit > len(self.tried) else 1.0
 
     def _other_scale(self) -> float:
