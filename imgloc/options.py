@@ -305,8 +305,9 @@ class FusedOptions(Checked):
     twins: tuple[Metres, Radians] = number("FusedOptions.twins")
     #: distance, metres and radians, below which two proposals are one pose
     same: tuple[Length, Step] = number("FusedOptions.same")
-    #: share of the nats that the best place of the first look lacks by which it has to lead the
-    #: others; else parts of the scan propose more, if it is `strained`
+    #: misfit of the best place of the first look, nats per reading, above which parts of the scan
+    #: propose others, unless it leads them by this share of the nats that it lacks
+    unfit: Nats = number("FusedOptions.unfit")
     led: Share = number("FusedOptions.led")
     #: misfit, nats per reading, above which an error that all readings share is looked for, see
     #: :mod:`imgloc.search.adapt`

@@ -239,7 +239,7 @@ def find_modes_by_steps(
     # propose without it. Where things are drawn they may fit at a wrong place.
     lacks = options.model.best * len(few) - float(score.max(initial=-np.inf))
     by = lead(looked, score, options)
-    unfit = lacks > fused.strained * len(few) and by < fused.led * lacks
+    unfit = lacks > fused.unfit * len(few) and by < fused.led * lacks
     if (unfit or features.furnished is not None) and more is None:
         others = [np.empty((0, 3))]
         for part in seen.parts():
@@ -255,7 +255,7 @@ def find_modes_by_steps(
     poses = _refined(looked, many, features, SECOND_LOOK, options)
     scores = score_poses(features, many, poses, options.model)
     poses, scores, spread = separate(features, poses, scores, len(many), options)
-    return Modes(poses, scores, many, not late, looked, 0 < fused.led * lacks <= by, spread)
+    return Modes(poses, scores, many, not late, looked, by >= fused.led * lacks, spread)
 
 
 def propose(features: MapFeatures, few: Readings, options: Options, end: float) -> FloatArray:

@@ -256,7 +256,7 @@ def test_a_scan_that_hardly_fits_is_searched_for_by_its_parts(k, seed) -> None:
     hit, where = np.random.default_rng(seed).random((2, len(scans[k].ranges)))
     ranges = np.where(hit < 0.55, where, 1) * scans[k].ranges
     short = dataclasses.replace(scans[k], ranges=ranges)
-    with_less = localize(features, short, Options(fused=FusedOptions(led=0.0)))
+    with_less = localize(features, short, Options(fused=FusedOptions(unfit=1e6)))
     found = localize(features, short)
     assert found.evidence.misfit < with_less.evidence.misfit - 0.3
     x, y, _ = scans.poses[k]

@@ -88,7 +88,7 @@ STEPS: Mapping[str, Step] = {
     "second look": Step("of 20 places, not 80", {"FusedOptions.second_look": 20}),
     "closer": Step("one pose for each place", {"FusedOptions.closer": 1}),
     "twins": Step("places are 0.02 m wide", {"FusedOptions.twins": (0.02, 0.0122)}),
-    "parts": Step("the whole scan alone proposes", {"FusedOptions.led": 0.0}),
+    "parts": Step("the whole scan alone proposes", {"FusedOptions.unfit": 1e6}),
     "visibility": Step("walls are no obstacle", {"EvidenceModel.absent": 1.0}),
     "displaced": Step("a wall is where it is drawn", {"EvidenceModel.displaced": 1e-4}),
     "margin": Step("none but half a cell", {"EvidenceModel.margin": 0.0}),

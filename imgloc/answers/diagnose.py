@@ -217,7 +217,7 @@ class _Trial:
         The list is empty unless all of these scans, or `most` of them, are unique.
         """
         # Parts of a scan find a few places more, which takes longer than all the rest.
-        quick = replace(self.options, fused=replace(self.options.fused, led=0.0))
+        quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
         quick = replace(quick, prior=prior or quick.prior, shared=shared or quick.shared)
         once = replace(quick, fused=replace(quick.fused, strained=np.inf))
         found = list[Localization]()
@@ -344,7 +344,8 @@ class _Trial:
     def _refined(self, times: float) -> float:
         """A factor on the ranges that is found again from where it was: one search ends near.
 
-        It is 1 if most scans have no one place with it: on a map of another place many end at a bound.
+        It is 1 if most scans have no one place with it: on a map of another place many end at a
+        bound.
         """
         known, fit = self.options.shared, 0
         for _ in range(2):
@@ -390,7 +391,7 @@ class _Trial:
         path = self.scans.odom if odometry else self.scans.poses
         if path is None or not np.isfinite(path[tried]).all():
             return None
-        quick = replace(self.options, fused=replace(self.options.fused, led=0.0))
+        quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
         found = list[tuple[Pose2D, Pose2D, float]]()  # where, by the map and the path; what fits
         for k in tried:
             answer, mount = localize(self.features, self.scans[k], quick), Pose2D(0.0, 0.0)
