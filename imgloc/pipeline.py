@@ -16,15 +16,14 @@
 import time
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from imgloc.errors import expect
-from imgloc.features.floor import floors, left_out, on_floor
+from imgloc.features.floor import floors, left_out
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.geometry import pose_errors
 from imgloc.io.maps import require_usable
 from imgloc.likelihoods.stacks import Stack, held_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
@@ -33,19 +32,15 @@ from imgloc.options import FUSED, Options, Shared
 from imgloc.search.adapt import THINNER, adapt, drawn_gain, drawn_walls
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
-from imgloc.search.modes import Modes, separate
-from imgloc.search.priors import pyramid_levels, standing
+from imgloc.search.modes import Modes, lead, rivals, separate
+from imgloc.search.priors import pyramid_levels, refined
 from imgloc.search.proposals import propose_endpoints
-from imgloc.search.refine import refine
-from imgloc.search.rescore import APART, score_poses, shortlist
+from imgloc.search.refine import FIRST_LOOK, SECOND_LOOK
+from imgloc.search.rescore import score_poses, shortlist
 from imgloc.search.stacked import weigh_stack
 from imgloc.search.weigh import MODES, nothing, weigh
 
 _ROUNDS = number("pipeline.rounds")  # searches again with an error that the readings share
-FIRST_LOOK: tuple[float, ...] = number("refine.first_look")
-"""Widths of the kernel that takes poses to where they fit, in the first look: metres."""
-SECOND_LOOK: tuple[float, ...] = number("refine.second_look")
-"""The same in the second look."""
 
 
 def prepare(
@@ -252,7 +247,7 @@ def find_modes_by_steps(
     looked = looked[:MODES] if late else looked
 
     # Refine the best with more readings, in free space; score them, and separate the modes.
-    poses = _refined(looked, many, features, SECOND_LOOK, options)
+    poses = refined(looked, many.xy, features, SECOND_LOOK, options.prior)
     scores = score_poses(features, many, poses, options.model)
     poses, scores, spread = separate(features, poses, scores, len(many), options)
     return Modes(poses, scores, many, not late, looked, by >= fused.led * lacks, spread)
@@ -287,28 +282,9 @@ def look(
 
     These are poses (L, 3) in the grid frame and their scores (L,) in nats, best first.
     """
-    poses = _refined(proposals, few, features, FIRST_LOOK, options)
+    poses = refined(proposals, few.xy, features, FIRST_LOOK, options.prior)
     poses = poses if before is None else np.concatenate((before, poses))
     return shortlist(poses, few, features, options)
-
-
-def lead(poses: FloatArray, score: FloatArray, options: Options) -> float:
-    """Nats by which the first of poses (L, 3), the best one, leads all that are other hypotheses.
-
-    `score` (L,) has their nats. Nothing leads by nothing, and a single place by infinitely many.
-    """
-    if not len(poses):
-        return 0.0
-    other = (pose_errors(poses, poses[0]) > options.fused.separation).any(axis=1)
-    return float(score[0] - score[other].max(initial=-np.inf))
-
-
-def _refined(
-    poses: FloatArray, seen: Readings, features: MapFeatures, sigmas: Any, options: Options
-) -> FloatArray:
-    """Refine poses (M, 3), with and without what is movable; those at which a sensor can be."""
-    moved = [refine(poses, seen.xy, there.field, sigmas=sigmas) for there in features.both]
-    return standing(np.concatenate(moved), options.prior, features)
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
@@ -335,14 +311,6 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     def lacks(found: Modes) -> float:
         return options.model.best - options.shared.usual - found.mean_score
 
-    def rivals(without: Modes, whole: Modes) -> bool:
-        # The side of a cart looks like a floor, too, and what is left fits more places: all
-        # readings decide. One on the floor is a thing's, but lacks no more than one that fits.
-        there, seen = features.thinner(without.shared.thinner), whole.readings
-        things = score_poses(there, seen, without.poses[:1], options.model).things[0]
-        on = np.count_nonzero(on_floor(seen.ranges, seen.angles, cast(Floor, without.floor)))
-        return bool(things + on * (APART - fused.strained) >= whole.scores.things[0])
-
     # With furniture that may be gone any scale would fit somewhere.
     adapts = features.furnished is None and fused.strained < np.inf
     # Where walls may be bent, parts of the scan propose once it is known whether they are.
@@ -359,14 +327,14 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         for floor in floors(scan) if lacks(found) > fused.strained else ():
             if left_out(scan, floor).directions >= options.trust.readings:
                 without = again(options.shared, floor, more=np.empty((0, 3)))
-                if lacks(without) <= min(fused.strained, lacks(found)) and rivals(without, whole):
+                if lacks(without) <= min(fused.strained, lacks(found)) and rivals(
+                    without, whole, features, options
+                ):
                     found = without
         for _ in range(_ROUNDS):
             if lacks(found) <= fused.strained or not len(found.poses):
                 break
-            places = found.places
-            if found.leads:
-                places = places[(pose_errors(places, places[0]) <= fused.separation).all(axis=1)]
+            places = found.starts(*fused.separation)
             shared = adapt(features, found.readings, places, found.shared, options)
             if shared == found.shared:
                 break

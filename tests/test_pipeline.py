@@ -18,7 +18,8 @@ from imgloc.io.scans import load_scans
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse, to_json
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
-from imgloc.pipeline import lead, localize, localize_many, prepare
+from imgloc.pipeline import localize, localize_many, prepare
+from imgloc.search.modes import lead
 from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

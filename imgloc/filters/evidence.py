@@ -20,11 +20,11 @@ from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
-from imgloc.pipeline import FIRST_LOOK, SECOND_LOOK, find_modes, find_modes_by_steps
+from imgloc.pipeline import find_modes, find_modes_by_steps
 from imgloc.search.adapt import FROM_SCALES
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
-from imgloc.search.refine import endpoints, refine
+from imgloc.search.refine import FIRST_LOOK, SECOND_LOOK, endpoints, refine
 from imgloc.search.rescore import score_poses, score_readings
 from imgloc.search.weigh import FROM_CELLS, covariances_there, evidence_of
 

@@ -455,7 +455,8 @@ class Tracker:
             odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
-        self._settle(seen, at, laser, gained > 0)
+        # On bent walls such a building explains nearly as much as the true place.
+        self._settle(seen, at, laser, (gained > 0) | (self.options.shared.bent > 0))
         self._normalise()
         self._bear(seen, 2 * known, new)
         self._tidy()

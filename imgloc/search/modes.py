@@ -1,17 +1,19 @@
 """The result of the search: separated modes, each at the mean of its maxima."""
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
+from imgloc.features.floor import on_floor
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
-from imgloc.geometry import wrap
+from imgloc.geometry import pose_errors, wrap
 from imgloc.model import FloatArray, Floor, Temperature
 from imgloc.options import Options, Shared
 from imgloc.search.hypotheses import centres, modes
 from imgloc.search.priors import stands
-from imgloc.search.rescore import Scores
+from imgloc.search.rescore import APART, Scores, score_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,14 @@ class Modes:
     def places(self) -> FloatArray:
         """Start poses (P, 3) for fitting a shared error: the best, and those of the second look."""
         return np.concatenate((self.poses[:1], self.looked))
+
+    def starts(self, metres: float, radians: float) -> FloatArray:
+        """Those of the places (P, 3) that may win with a shared error: all, or the one that leads.
+
+        Poses that are nearer to it are the same place.
+        """
+        near = (pose_errors(self.places, self.places[0]) <= (metres, radians)).all(axis=1)
+        return self.places[near | (not self.leads)]
 
     @property
     def mean_score(self) -> float:
@@ -71,3 +81,26 @@ def temperature_of(scores: Scores, n: int, options: Options, cell: float) -> Tem
     """
     lacks = options.model.best - float(scores.things.max(initial=-np.inf)) / n
     return options.trust.temperature_at(lacks, n, cell)
+
+
+def lead(poses: FloatArray, score: FloatArray, options: Options) -> float:
+    """Nats by which the first of poses (L, 3), the best one, leads all that are other hypotheses.
+
+    `score` (L,) has their nats. Nothing leads by nothing, and a single place by infinitely many.
+    """
+    if not len(poses):
+        return 0.0
+    other = (pose_errors(poses, poses[0]) > options.fused.separation).any(axis=1)
+    return float(score[0] - score[other].max(initial=-np.inf))
+
+
+def rivals(without: Modes, whole: Modes, features: MapFeatures, options: Options) -> bool:
+    """Return whether the best place `without` a floor is as good as one for the `whole` scan.
+
+    The side of a cart looks like a floor, too, and what is left fits more places: all readings
+    decide. One on the floor is a thing's, but lacks no more than one that fits.
+    """
+    there, seen = features.thinner(without.shared.thinner), whole.readings
+    things = score_poses(there, seen, without.poses[:1], options.model).things[0]
+    on = np.count_nonzero(on_floor(seen.ranges, seen.angles, cast(Floor, without.floor)))
+    return bool(things + on * (APART - options.fused.strained) >= whole.scores.things[0])

@@ -6,6 +6,7 @@ multiply their masses once they are found. Somebody is sure of a set; a weight m
 therefore moves mass, and takes ``unique`` away, but never gives it.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -18,6 +19,7 @@ from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid, Pose2D
 from imgloc.numbers import number
 from imgloc.options import FusedOptions, Hint, Known, Prior
+from imgloc.search.refine import refine
 
 SLIP = FusedOptions.separation
 """How far outside of the prior a refined pose, as one hypothesis, may lie and be brought back."""
@@ -93,6 +95,17 @@ def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
     high = (cells[:, ::-1] + 1 - 1e-6) * resolution
     poses[beside, :2] = np.clip(poses[beside, :2], low, high)
     return poses[prior.admits(poses, resolution)]
+
+
+def refined(
+    poses: FloatArray, xy: FloatArray, features: MapFeatures, sigmas: Sequence[float], prior: Prior
+) -> FloatArray:
+    """Refine poses (M, 3) by scan points (N, 2), with and without what is movable.
+
+    The result has those at which a sensor can be; see :func:`~imgloc.search.refine.refine`.
+    """
+    moved = [refine(poses, xy, there.field, sigmas=sigmas) for there in features.both]
+    return standing(np.concatenate(moved), prior, features)
 
 
 def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArray:
