@@ -60,7 +60,8 @@ def test_no_input_is_overwritten(
 def test_a_bundled_map_survives_the_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     before = (MAPS / "curved.png").read_bytes()
     run = call("demo", "--out", MAPS / "curved.png", "--force")
-    (MAPS / "curved.png").write_bytes(before)
+    if (MAPS / "curved.png").read_bytes() != before:  # others read it meanwhile
+        (MAPS / "curved.png").write_bytes(before)
     run.ends(1, "is read by this command")
 
 
