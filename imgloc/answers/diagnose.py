@@ -25,9 +25,10 @@ from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
-# Nats per reading; where the best pose lacks less, several places fit as they are. By how much the
-# scales of scans differ that share one, and what it differs from 1 at least.
-_FITS, _ALIKE, _SLIP = number("diagnose.fits")
+# Nats per reading; where the best pose lacks less, several places fit as they are.
+_FITS: float = number("diagnose.fits")
+# By how much the scales of scans differ that share one, and what it differs from 1 at least.
+_NEAR, _SLIP = number("diagnose.scales")
 # doubtful scans that are looked at in another way, and views that sensors have, radians
 _TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
@@ -36,7 +37,6 @@ _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, deg
 # Medians above which ranges are no metres, may be millimetres, and are no centimetres; of them the
 # share whose greatest is the longest one, and metres that no sensor sees.
 _LONG, _ROOM, _HALL, _NEARER, _UNSEEN = number("diagnose.long")
-_MOST = number("diagnose.most")  # of the readings
 MIRRORED = number("diagnose.mirrored")  # share that scans which agree with the odometry have
 UNITS = {"millimetres": 0.001, "centimetres": 0.01, "feet": 0.3048, "inches": 0.0254}  #: metres
 # The first ones are tried together: from one to the next, scans fit with a scale between.
@@ -160,7 +160,7 @@ def common_scale(said: Said, known: float) -> float | None:
     """
     moved = [evidence.scale / known for _, evidence in said if evidence.scale != known]
     middle = float(np.median(moved or [1.0]))
-    alike = sum(abs(scale - middle) <= _ALIKE for scale in moved)
+    alike = sum(abs(scale - middle) <= _NEAR for scale in moved)
     most = alike >= _TRIED and 2 * alike > len(said)
     return middle if most and abs(middle - 1) > _SLIP else None
 
@@ -568,7 +568,7 @@ def why_invalid(scans: Sequence[LaserScan]) -> str:
         "to see?": ranges >= high,
     }
     few = f"It takes valid readings in {least} directions or more; a scan has {valid}"
-    return next((text for text, which in causes.items() if which.mean() > _MOST), few)
+    return next((text for text, which in causes.items() if 2 * which.sum() > which.size), few)
 
 
 def few_readings(scans: Sequence[LaserScan]) -> str:

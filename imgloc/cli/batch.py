@@ -161,8 +161,7 @@ def batch(
         except KeyboardInterrupt:
             say(f"what is done is kept in {display(out)}; --resume goes on")
             raise
-    lines, lacks = batch_text(summary, display(out)).splitlines(), context.meta[LACKS]
-    text = "\n".join(instead(line, lacks) for line in lines)
+    text = instead(batch_text(summary, display(out)), context.meta[LACKS])
     emit(to_json(summary.as_row()) if as_json else text)
     if summary.failed:
         raise typer.Exit(FAILED_ROWS)

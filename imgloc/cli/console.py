@@ -122,11 +122,12 @@ def instead(message: str, lacks: Mapping[str, str]) -> str:
     'try imgloc calibrate MAP --force'
     """
     text = as_options(message)
-    own = re.findall(r"--[a-z-]+", re.sub(r"\bimgloc [a-z][^.,;:]*", "", text))
+    own = re.findall(r"--[a-z-]+", re.sub(r"\bimgloc [a-z][^.,;:\n]*", "", text))
     lacking = next((option for option in own if option in lacks), "")
     if not lacking or lacks[lacking] in text:
         return text
-    return f"{text}; this command has no {lacking}: {lacks[lacking]}"
+    between = "\n" if "\n" in text else "; "
+    return f"{text}{between}this command has no {lacking}: {lacks[lacking]}"
 
 
 class _Lines(logging.Formatter):

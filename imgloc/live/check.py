@@ -13,6 +13,7 @@ from imgloc.answers.causes import Given
 from imgloc.answers.diagnose import doubts
 from imgloc.errors import ImglocError
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import evenly
 from imgloc.io.clouds import seen_in_msg
 from imgloc.io.messages import frame_name, grid_from_msg, link_of, seconds_of
 from imgloc.io.scanset import ScanSet
@@ -139,8 +140,7 @@ class _Ear:
             found = f"tf does not say where {frame} sits on {base}"
             do = "publish it, or set the parameter sensor to X,Y,YAW"
             return Row(f"{heard.name} mount", found, do), []
-        chosen = [heard.messages[i] for i in np.linspace(0, len(heard.messages) - 1, _SCANS)
-                  .astype(int)]  # fmt: skip
+        chosen = [heard.messages[i] for i in evenly(len(heard.messages), _SCANS)]
         at = mounts[k] if mounts is not None else None
         scans = [
             placed(seen_in_msg(one, heard.name), self.settings, heard.name, at, link)
