@@ -178,8 +178,39 @@ def test_a_line_that_numbers_the_columns_is_no_scan(tmp_path: Path, caplog, monk
     (tmp_path / "a.csv").write_text(index)
     np.testing.assert_allclose(load_scans(tmp_path / "a.csv", fov=np.pi)[0].angles, ANGLES)
     assert "numbers the columns" not in caplog.text
-    assert loaded(tmp_path, plain)[0].angles[-1] == pytest.approx(math.radians(RAYS - 1))
+    with pytest.raises(ScanError, match="line 1: it numbers the columns; angles: expected a line"):
+        loaded(tmp_path, plain)
+    turn = table(["stamp", *range(360)], [[k, *np.resize(RANGES, 360)] for k in range(N)])
+    scans = loaded(tmp_path, turn)
+    assert (scans[0].angles[-1], scans.stamps[-1]) == (pytest.approx(math.radians(359)), N - 1)
     assert "if it numbers the columns, pass `fov`" in caplog.text
+
+
+def test_marks_between_thousands_are_no_decimal_ones(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    said, mm = "# angle_min=-1, angle_max=1\n", np.round(1000 * RANGES / 3)
+    for between, mark in ((";", ","), (";", "."), ("\t", "'"), (",", ",")):
+        for some in (mm, mm[:1]):
+            cells = [[f"{v:,.0f}".replace(",", mark) for v in row] for row in some]
+            cells = [[f'"{c}"' for c in row] for row in cells] if between == mark else cells
+            scans = loaded(tmp_path, said + table([], cells, between))
+            np.testing.assert_array_equal([scan.ranges for scan in scans.scans], some)
+    assert "for thousands" in caplog.text
+    cells = [[f"{v:.3f}".replace(".", ",") for v in row] for row in RANGES]
+    assert loaded(tmp_path, said + table([], cells, ";"))[0].ranges[0] == RANGES[0, 0]
+
+
+@pytest.mark.parametrize("how", ["between", "after", "in threes"])
+def test_intensities_without_a_name_are_refused(tmp_path: Path, how: str) -> None:
+    near, many = np.linspace(1, 3, RAYS) + 0.01 * RANGES, np.resize(np.arange(40, 60), (N, RAYS))
+    rows = {"after": np.hstack((near, many)), "between": np.stack((near, many + 0.5), 2),
+            "in threes": np.stack((near, many, 10 * many), 2)}[how].reshape(N, -1)  # fmt: skip
+    with pytest.raises(ScanError, match="other numbers, such as intensities, stand with the"):
+        loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + table([], rows.tolist()))
+    names = [f"{word}{k}" for k in range(RAYS) for word in ("range", "intensity")]
+    if how == "between":
+        scans = loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + table(names, rows.tolist()))
+        np.testing.assert_allclose(scans[0].ranges, near[0])
 
 
 def test_a_count_is_no_range(tmp_path: Path) -> None:

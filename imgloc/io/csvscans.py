@@ -66,9 +66,15 @@ _ROLES = (
     (re.compile(r"range|dist|distance|abstand|r"), "range"),
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
+_COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
+_SAMPLE = 10_000  # cells that show how numbers are spelled
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
+# How many times as much ranges differ from the next number as from the one after it if others stand
+# between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole
+# numbers beside others the least share that is no chance (0.12 of a log in decimetres).
+_APART, _WHOLE = 4, 0.3
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
@@ -117,7 +123,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
             body.append((where, cells_of(text)))
     if not body:
         raise ScanError(f"{name}: contains no scan, expected one per line")
-    body = _unpacked(_revolutions(body))
+    body = _unpacked(_revolutions(_pointed(body, name)))
     table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
     table.length, table.turn = map(_factor, units)
     if _is_echo(body[0][1]):
@@ -133,20 +139,52 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
 
 
 def cells_of(text: str) -> list[str]:
-    """The cells of a line, whatever stands between them; decimal commas become points.
+    """The cells of a line, whatever stands between them.
 
     Examples
     --------
     >>> cells_of("1.5, ,x"), cells_of("1,5;2,5"), cells_of("1.5  2"), cells_of("1,5 2 inf")
-    (['1.5', '', 'x'], ['1.5', '2.5'], ['1.5', '2'], ['1.5', '2', 'inf'])
+    (['1.5', '', 'x'], ['1,5', '2,5'], ['1.5', '2'], ['1,5', '2', 'inf'])
     """
     mark = next((m for m in (";", "\t", "|") if m in text and f",{m}" not in text), None)
     if mark or (" " in text and all(map(_NUMBER.fullmatch, text.split()))):
-        return [re.sub(r"^([-+]?\d*),(\d+)", r"\1.\2", c.strip()) for c in text.split(mark)]
+        return [cell.strip() for cell in text.split(mark)]
     if '"' in text:
         with contextlib.suppress(csv.Error):  # of a cell that is longer than any
             return [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True))]
     return [cell.strip() for cell in text.split(",")] if "," in text else text.split()
+
+
+def _pointed(body: list[Row], name: str) -> list[Row]:
+    """The rows with decimal points, and without the marks between thousands.
+
+    A mark is of thousands if a column has it before each three last digits, and whole numbers
+    below 1000 besides; else a comma is a decimal one.
+
+    Examples
+    --------
+    >>> [row for _, row in _pointed([("", ["1,5", "2,001"]), ("", ["2,25", "0,5"])], "a.csv")]
+    [['1.5', '2.001'], ['2.25', '0.5']]
+    >>> [row for _, row in _pointed([("", ["1,234", "950", "2,001", "870"])], "a.csv")]
+    [['1234', '950', '2001', '870']]
+    """
+    step = 1 + len(body) * len(body[0][1]) // _SAMPLE
+    some = [row for _, row in body[::step] if any(map(_SPELLED.match, row))]
+    columns = [*itertools.zip_longest(*some, fillvalue="")] if len(some) > 1 else some
+    for mark in ",.'":
+        form = re.compile(rf"[-+]?[1-9]\d?\d?(\{mark}\d{{3}})+")
+        for column in columns:
+            marked = [cell for cell in column if mark in cell and _SPELLED.match(cell)]
+            below = {cell for cell in column if re.fullmatch(r"[1-9]\d\d", cell)}
+            if len(below) > 1 and marked and all(map(form.fullmatch, marked)):
+                text = (
+                    f"{marked[0]} is taken for {marked[0].replace(mark, '')}: {mark} for thousands"
+                )
+                _LOG.warning("%s: %s", name, text, extra={"code": "thousands"})
+                body = [(w, [c.replace(mark, "") if form.fullmatch(c) else c for c in row])
+                        for w, row in body]  # fmt: skip
+                break
+    return [(w, [_COMMA.sub(r"\1.\2", c) if "," in c else c for c in row]) for w, row in body]
 
 
 def _revolutions(body: list[Row]) -> list[Row]:
@@ -182,7 +220,7 @@ def _unpacked(body: list[Row]) -> list[Row]:
         cells = _LIST.sub("", row[at]).strip(")] ").replace(",", " ").split() if whole else []
         rows.append((line, [*(row[i] for i in kept), *cells] if whole else []))
     widest = max(len(row) for _, row in rows) - len(kept)
-    head = [*(names[i] for i in kept), *(f"ranges{k}" for k in range(widest))]
+    head = [*(names[i] for i in kept), *_ranges(widest)]
     return [(where, head), *((w, row and row + [""] * (len(head) - len(row))) for w, row in rows)]
 
 
@@ -411,12 +449,30 @@ class _Table:
             found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
             how = "its ranges with commas between, or two columns called angle and range"
             raise ScanError(f"{self.name}: {found}, {how}")
+        if not names:
+            self._refuse_between(np.array([row[ranges] for _, row in self.rows[:_MANY]]))
         count, *others = {float(row[ranges[0]]) for _, row in self.rows}
         if names or others or count <= _MANY or not len(ranges) - _ECHO <= count < len(ranges):
             return
         found = f"{count:g} in each line of {len(ranges)} numbers, as if it counted readings"
         expected = "a first line with the names of all columns, or the ranges alone"
         raise ScanError(f"{self.name}: column {ranges[0] + 1} is {found}; expected {expected}")
+
+    def _refuse_between(self, table: FloatArray) -> None:
+        """ScanError for numbers that are no ranges between ranges, or after them.
+
+        A range is like the next one, and intensities are more like each other; they are whole.
+        """
+        seen = np.where(np.isfinite(table) & (table > 0), table, np.nan)
+        steps = (np.abs(seen[:, k:] - seen[:, :-k]) for k in (1, 2, 3))
+        near, *far = (_median(step) for step in steps)
+        whole = seen[seen == np.round(seen)]
+        share = len(whole) / max(1, np.count_nonzero(seen > 0))
+        block = _WHOLE < share < 1 - _WHOLE and len(np.unique(whole)) > _EVEN
+        if block or near > max(_APART * min(far), _LIKE * _median(seen)):
+            found = "other numbers, such as intensities, stand with the ranges"
+            expected = "the ranges alone, or a first line of names: range0,intensity0,range1 ..."
+            raise ScanError(f"{self.name}: {found}; expected {expected}")
 
     def _readings(self, by: Mapping[str, int], roles: Sequence[Role]) -> ScanSet:
         """The scans of a table with a reading a line."""
@@ -493,44 +549,43 @@ def _stamp_of(row: FloatArray, by: Mapping[str, int], roles: Sequence[Role]) -> 
     return None if math.isnan(stamp) else float(stamp)
 
 
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) > 2 * _EVEN else 0.0
+
+
 def _head(
     name: str, body: list[Row], settings: dict[str, Any], fov: float | None
 ) -> list[str] | None:
     """The names of the columns below a first line of numbers: angles, which are set, or counts."""
-    first = body[0][1]
-    lead, stated = _numbered(first), fov is not None or "angle_min" in settings
-    if lead >= 0 and (stated or len(first) > _TURN + 2):
+    first, stated = body[0][1], fov is not None or "angle_min" in settings
+    lead = next((k for k, cell in enumerate(first) if cell and is_number(cell)), 0)
+    count = len(first) - lead
+    numbers = ([str(k) for k in range(begin, begin + count)] for begin in (0, 1))
+    numbered = count >= _EVEN and first[lead:] in numbers
+    if numbered and (stated or count not in (_TURN, _TURN + 1)):
+        if not stated:
+            expected = "a line '# angle_min=..., angle_max=...' in radians before it, or `fov`"
+            raise ScanError(f"{body[0][0]}: it numbers the columns; angles: expected {expected}")
         body.pop(0)
-        return ["index"] * lead + [f"ranges{k}" for k in range(len(first) - lead)]
-    if (angles := _angle_row(body, settings)) is None:
+        return [*(cell.lower() or "index" for cell in first[:lead]), *_ranges(count)]
+    if len(body) < 2 or lead > 3 or not all(c and is_number(c) for c in first[lead:]):
         return None
-    if lead >= 0:
+    row = np.array([float(cell) for cell in first[lead:]])
+    angles = _even_angles(row, settings)
+    angles = _even_angles(row[1:], settings) if angles is None and not lead else angles
+    if angles is None:
+        return None
+    if numbered:
         text = "it is taken for angles in degrees; if it numbers the columns, pass `fov`"
         said = f"{name}: the first line counts up to {first[-1]}: {text}"
         _LOG.warning("%s", said, extra={"code": "degrees"})
-    lead = len(first) - len(angles)
-    names = ["t" if is_number(cell) else cell.lower() for cell in body.pop(0)[1][:lead]]
-    settings["angles"] = angles
-    return [*names, *(f"ranges{k}" for k in range(len(angles)))]
+    settings["angles"], above = angles, body.pop(0)[1][: len(first) - len(angles)]
+    return [*("t" if is_number(cell) else cell.lower() for cell in above), *_ranges(len(angles))]
 
 
-def _angle_row(body: Sequence[Row], settings: Mapping[str, Any]) -> FloatArray | None:
-    """The angles in the first of several lines, radians, after at most three other cells."""
-    cells = body[0][1]
-    lead = next((k for k, cell in enumerate(cells) if cell and is_number(cell)), 0)
-    if len(body) < 2 or lead > 3 or not all(c and is_number(c) for c in cells[lead:]):
-        return None
-    row = np.array([float(cell) for cell in cells[lead:]])
-    angles = _even_angles(row, settings)
-    return angles if lead or angles is not None else _even_angles(row[1:], settings)
-
-
-def _numbered(cells: Sequence[str]) -> int:
-    """Count the cells before those that number the columns, as pandas does; -1 for none."""
-    lead = 0 if cells[0] else 1
-    count = len(cells) - lead
-    numbers = ([str(k) for k in range(begin, begin + count)] for begin in (0, 1))
-    return lead if count >= _EVEN and list(cells[lead:]) in numbers else -1
+def _ranges(count: int) -> list[str]:
+    return [f"ranges{k}" for k in range(count)]
 
 
 def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | None:
