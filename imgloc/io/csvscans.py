@@ -465,9 +465,9 @@ class _Table:
         """
         seen = np.where(np.isfinite(table) & (table > 0), table, np.nan)
         steps = (np.abs(seen[:, k:] - seen[:, :-k]) for k in (1, 2, 3))
-        near, *far = (_median(step) for step in steps)
+        near, *far = map(_median, steps)
         whole = seen[seen == np.round(seen)]
-        share = len(whole) / max(1, np.count_nonzero(seen > 0))
+        share = len(whole) / max(1, int(np.count_nonzero(seen > 0)))
         block = _WHOLE < share < 1 - _WHOLE and len(np.unique(whole)) > _EVEN
         if block or near > max(_APART * min(far), _LIKE * _median(seen)):
             found = "other numbers, such as intensities, stand with the ranges"
