@@ -278,8 +278,8 @@ def test_tables_go_through_the_command(shared: Path) -> None:
 def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="angles: missing, expected a first line '# angle_min="):
         loaded(tmp_path, table([], RANGES.tolist()))
-    with pytest.raises(ScanError, match="got 'angle:', expected a number; a table has lines such"):
-        loaded(tmp_path, "angle: -90.00 distance: 1.230\n")
+    with pytest.raises(ScanError, match="got 'a=', expected a number; a table has lines such"):
+        loaded(tmp_path, "a= -90.00 d= 1.230\n")
 
 
 def test_a_scan_that_passes_0_degrees_is_one_scan(tmp_path: Path) -> None:
@@ -300,9 +300,55 @@ def test_odometry_may_have_a_yaw_and_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(scans.odom[0], [1.5, -0.5, np.pi / 2])
 
 
-def test_points_are_no_scan(tmp_path: Path) -> None:
+@pytest.mark.parametrize("head", [["x", "y"], ["x_m", "y_m"], ["x", "y", "z"], []])
+def test_points_are_no_scan(tmp_path: Path, head: list[str]) -> None:
+    points = np.stack((RANGES[0] * np.cos(ANGLES), RANGES[0] * np.sin(ANGLES), 0 * ANGLES), 1)
     with pytest.raises(ScanError, match="are points; expected columns angle and range: atan2"):
-        loaded(tmp_path, table(["x", "y"], RANGES[:, :2].tolist()))
+        loaded(tmp_path, table(head, points[:, : len(head) or 2].tolist()))
+
+
+@pytest.mark.parametrize("form", [
+    "angle: {a:.3f}, distance: {r}, intensity: 1008", "stamp:1,angle:{a:.3f},distance(m):{r}",
+    "Zeitstempel;Winkel_Grad;Entfernung\n7;{a:.3f};{r}", "ángulo,distancia\n{a:.3f},{r}",
+    "bearing (grad),range\n{g:.3f},{r}", "theta,rho\n{t:.5f},{r}", "// degrees\n{a:.3f},{r},",
+])  # fmt: skip
+def test_a_reading_a_line_of_other_people_is_read(tmp_path: Path, form: str) -> None:
+    *head, line = form.split("\n")
+    rows = [line.format(a=math.degrees(t), g=200 * t / math.pi, t=t, r=r)
+            for t, r in zip(ANGLES, RANGES[0], strict=True)]  # fmt: skip
+    (scan,) = loaded(tmp_path, "\n".join([*head, *rows, ""])).scans
+    np.testing.assert_allclose(scan.angles, ANGLES, atol=1e-5)
+    np.testing.assert_allclose(scan.ranges, RANGES[0])
+
+
+def test_what_people_write_for_nothing(tmp_path: Path) -> None:
+    said = "# angle_min=-1, angle_max=1\n"
+    for word in ("NA", "n/a", "#N/A", "None", "k.A.", "-", "1.#QNAN", "-1.#IND", ""):
+        scan = loaded(tmp_path, f"{said}1,2,{word},3\n1,{word},2,3\n")[0]
+        assert np.isnan(scan.ranges).tolist() == [False, False, True, False]
+    assert np.isposinf(loaded(tmp_path, f"{said}1,2,∞,1.#INF\n")[0].ranges[2:]).all()
+    with pytest.raises(ScanError, match="got 'far', expected a number; nan, or nothing, stands"):
+        loaded(tmp_path, f"{said}1,far,3\n")
+    broken = (
+        'stamp,angle_min,angle_max,ranges\n5,-1,1,"[1. 2.\n  3. 4.]"\n6,-1,1,"[1. 2.\n 3. 5.]"\n'
+    )
+    assert loaded(tmp_path, broken)[1].ranges.tolist() == [1, 2, 3, 5]
+    with pytest.raises(ScanError, match="printed shortened"):
+        loaded(tmp_path, broken.replace("2.", "..."))
+
+
+def test_columns_beside_an_angle_are_alike(tmp_path: Path) -> None:
+    text = table(
+        ["angle", "weite", "guete"], [[a, r, 4] for a, r in zip(ANGLES, RANGES[0], strict=True)]
+    )
+    with pytest.raises(ScanError, match="columns weite, guete beside angles, expected one that is"):
+        loaded(tmp_path, text)
+
+
+def test_a_comma_at_the_end_of_each_line_is_no_ray(tmp_path: Path) -> None:
+    said = "# angle_min=-1, angle_max=1\n"
+    assert len(loaded(tmp_path, f"{said}1,2,3,\n# next\n2,3,4,\n")[0].ranges) == 3
+    assert len(loaded(tmp_path, f"{said}1,2,3,\n2,,4,\n")[0].ranges) == 4
 
 
 @pytest.mark.parametrize(("head", "metres"), [

@@ -27,8 +27,9 @@ Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
 # Nats per reading; where the best pose lacks less, several places fit as they are.
 _FITS: float = number("diagnose.fits")
-# By how much the scales of scans differ that share one, and what it differs from 1 at least.
-_NEAR, _SLIP = number("diagnose.scales")
+# By how much the scales of scans differ that share one, what it differs from 1 at least, and the
+# share of the scans that fit nowhere with it at most.
+_NEAR, _SLIP, _NOWHERE = number("diagnose.scales")
 # doubtful scans that are looked at in another way, and views that sensors have, radians
 _TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
@@ -148,9 +149,9 @@ def misread(
 
 
 def common_scale(said: Said, known: float) -> float | None:
-    """The factor on the ranges that most of some scans were found to have, each by itself.
+    """The factor on the ranges that three scans or more were found to have, each by itself.
 
-    On a map of another place each has another one. `known` is stated; None for no common factor.
+    Fewer have another one, as on a map of another place. `known` is stated; None for no factor.
 
     Examples
     --------
@@ -161,7 +162,7 @@ def common_scale(said: Said, known: float) -> float | None:
     moved = [evidence.scale / known for _, evidence in said if evidence.scale != known]
     middle = float(np.median(moved or [1.0]))
     alike = sum(abs(scale - middle) <= _NEAR for scale in moved)
-    most = alike >= _TRIED and 2 * alike > len(said)
+    most = alike >= _TRIED and 2 * alike > len(moved)
     return middle if most and abs(middle - 1) > _SLIP else None
 
 
@@ -331,7 +332,7 @@ class _Trial:
         if times == 1:
             return None
         cells = self.features.grid.resolution / times
-        nice = round(cells, 2)
+        nice = round(200 * cells) / 200  # of most maps it is whole half centimetres
         cells = nice if math.isclose(nice, cells, rel_tol=0.02) else cells
         better = scaled_better(self.log, times)
         key = {None: "scale", True: "scale/ranges", False: "scale/map"}[better]
@@ -344,17 +345,16 @@ class _Trial:
     def _refined(self, times: float) -> float:
         """A factor on the ranges that is found again from where it was: one search ends near.
 
-        It is 1 if most scans have no one place with it: on a map of another place many end at a
-        bound.
+        It is 1 if many scans fit nowhere with it: so it is on a map of another place.
         """
-        known, fit = self.options.shared, 0
-        for _ in range(2):
+        known, answers = self.options.shared, list[Localization]()
+        for some in (self.tried, range(len(self.scans))):
             shared = replace(known, scale=float(np.clip(times * known.scale, *SCALES)))
             options = replace(self.options, shared=shared)
-            answers = [localize(self.features, self.scans[k], options) for k in self.tried]
+            answers = [localize(self.features, self.scans[k], options) for k in some]
             times = float(np.median([a.evidence.scale for a in answers])) / known.scale
-            fit = sum(answer.verdict == "unique" for answer in answers)
-        return times if 2 * fit > len(self.tried) else 1.0
+        nowhere = sum(answer.verdict == "no-match" for answer in answers)
+        return times if nowhere < _NOWHERE * len(answers) else 1.0
 
     def _other_scale(self) -> float:
         """The factor on the ranges with which a few of the scans are unique; 1 if none is."""

@@ -13,7 +13,7 @@ import logging
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,11 +40,12 @@ _DEGREE = math.pi / 180
 # By how a word for it begins, the longest beginning first; all others are SI.
 _UNITS = {
     "mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "f": 0.3048, "in": 0.0254,
-    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "grad": _DEGREE, "gon": math.pi / 200,
+    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "gradian": math.pi / 200, "grad": math.nan,
+    "gon": math.pi / 200,
     "mrad": 1e-3, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
 }  # fmt: skip
 _LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?met(?:re|er)s?"
-_TURNED = r"°|grad|gon|c?deg(?:rees?)?|m?rad(?:ians?)?"
+_TURNED = r"°|grad(?:ians?)?|gon|c?deg(?:rees?)?|m?rad(?:ians?)?"
 _UNIT = re.compile(rf"(?:[\s_.(\[/]|\bin\b|_in_)+({_LENGTH}|{_TURNED}|ms|us|ns|s|sec)[)\]]?$")
 _SAID = re.compile(
     rf"(?:(?:\b|_)(?:units?|in|are)\b[\s:='\"]*|[(\[])(?:({_LENGTH})|({_TURNED}))(?![\w.])"
@@ -59,15 +60,19 @@ _ROLES = (
     (re.compile(r"(.*[./])?(time)?stamp[./]n(ano)?secs?$"), "nanoseconds"),
     (re.compile(r"(.*[./])?(time)?stamp[./]secs?$"), "seconds"),
     (re.compile(r"(.*[./])?stamp$"), "stamp"),
-    (re.compile(r"(%|__)?(time|timestamp|t)$"), "time"),
+    (re.compile(r"(%|__)?(time|timestamp|t|zeit|zeitstempel|temps|tiempo|tempo)$"), "time"),
     (re.compile(r"(.*[./])?(header[./_])?(seq|frame_id|scan_time)$|.*intensit.*|quality|"
                 r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$"), "aside"),
-    (re.compile(r"angu?le|winkel|bearing|azimuth|phi|alpha"), "angle"),
-    (re.compile(r"range|dist|distance|abstand|r"), "range"),
+    (re.compile(r"angu?le|winkel|[aá]ngulo|angolo|角度|bearing|azimuth|phi|alpha"), "angle"),
+    (re.compile(r"range|dist(an[cz]i?[ae]?)?|abstand|entfernung|port[eé]e|距离|rho|r"), "range"),
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
 _COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
 _SAMPLE = 10_000  # cells that show how numbers are spelled
+_OPEN = re.compile(r'"(array\()?[\[(][^"]*$')
+_PAIR = re.compile(
+    r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+]?(?:[\d.]+|inf|nan))", re.IGNORECASE
+)
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
@@ -80,6 +85,8 @@ _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
 _POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./][zw])")
 _AXES = "position/x", "position/y", "orientation/z", "orientation/w"
+_POINTS = (" are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y) in "
+           "metres")  # fmt: skip
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
 Role = tuple[str, int, float]  #: of a column, see :func:`role_of`
 
@@ -108,13 +115,13 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     """
     name, settings, comment, units = display(path), dict[str, Any](), "", ["", ""]
     lines, body = lines_of(path, other="cp1252"), list[Row]()
-    for line, text in lines.numbered:
+    for line, text in _unbroken(lines.numbered):
         where = f"{name}: line {line}"
-        if text.startswith("#"):
+        if text.startswith(("#", "//", "% ")):
             plain = re.sub(r"(\d),(\d)", r"\1.\2", text)
             said = [(key, value) for key, value in _SETTING.findall(plain) if key in _SETTINGS]
             settings |= {key: setting_of(key, value, f"{where}: {key}") for key, value in said}
-            plain = text.strip("# ").lower()
+            plain = text.strip("#/% ").lower()
             named = any(role_of(cell)[0] for cell in cells_of(plain))
             words = [] if named else _SAID.findall(plain)
             units = [max([old, *every]) for old, *every in zip(units, *words, strict=True)]
@@ -123,7 +130,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
             body.append((where, cells_of(text)))
     if not body:
         raise ScanError(f"{name}: contains no scan, expected one per line")
-    body = _unpacked(_revolutions(_pointed(body, name)))
+    body = _unpacked(_spoken(_pointed(body, name)))
     table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
     table.length, table.turn = map(_factor, units)
     if _is_echo(body[0][1]):
@@ -136,6 +143,25 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     elif len(names) != len(first) or any(map(is_number, names)):
         names = []
     return table.read(names, fov)
+
+
+def _unbroken(numbered: Sequence[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """The lines of a table; a list in a quoted cell is one line, which NumPy breaks.
+
+    Examples
+    --------
+    >>> [*_unbroken([(1, 'a,"[1. 2.'), (2, '3. 4.]"'), (3, "b")])]
+    [(1, 'a,"[1. 2. 3. 4.]"'), (3, 'b')]
+    """
+    parts, begin = list[str](), 0
+    for line, text in numbered:
+        begin, odd = begin if parts else line, text.count('"') % 2
+        parts.append(text)
+        if odd == (len(parts) > 1) or (not odd and len(parts) == 1) or not _OPEN.search(parts[0]):
+            yield begin, " ".join(parts)
+            parts = []
+    if parts:
+        yield begin, " ".join(parts)
 
 
 def cells_of(text: str) -> list[str]:
@@ -184,24 +210,36 @@ def _pointed(body: list[Row], name: str) -> list[Row]:
                 body = [(w, [c.replace(mark, "") if form.fullmatch(c) else c for c in row])
                         for w, row in body]  # fmt: skip
                 break
+    if all(row[-1:] == [""] and "" not in row[:-1] for _, row in body[1:] or body) and (
+        body[0][1][-1] == "" or len(body[0][1]) < len(body[-1][1])
+    ):  # a mark at the end of each line
+        body = [(w, row[:-1] if row[-1] == "" else row) for w, row in body]
     return [(w, [_COMMA.sub(r"\1.\2", c) if "," in c else c for c in row]) for w, row in body]
 
 
-def _revolutions(body: list[Row]) -> list[Row]:
-    """The rows, or those that RPLIDAR's SDK prints as a table: degrees clockwise, millimetres.
+def _spoken(body: list[Row]) -> list[Row]:
+    """The rows, or those of lines that name each number, such as ``angle: 1.20, distance: 2.3``.
 
-    A line is ``theta: 1.20 Dist: 02349.00 Q: 47``, with an S before it where a turn begins, and a
-    distance of 0 where the ray met nothing. Lines before the first one are about the device.
+    RPLIDAR's SDK prints ``theta: 1.20 Dist: 02349.00 Q: 47``: degrees clockwise, millimetres, and
+    0 where the ray met nothing. Lines before the first reading are about the device.
     """
-    said = [cells[-6:] for _, cells in body]
-    known = [cells[::2] == ["theta:", "Dist:", "Q:"] for cells in said]
-    if not any(known):
+    texts = ((k, " ".join(cells)) for k, (_, cells) in enumerate(body[:_MANY]))
+    named = ((k, [role_of(key)[0] for key, _ in _PAIR.findall(text)]) for k, text in texts)
+    begin = next(
+        (k for k, roles in named if {"range"} < {*roles} & {"angle", "theta", "range"}), -1
+    )
+    if begin < 0:
         return body
-    rows = [["-" + c[1], c[3] if c[3].strip("0.") else "inf"] if k else []
-            for c, k in zip(said, known, strict=True)]  # fmt: skip
-    begin, places = known.index(True), [where for where, _ in body]
-    head = places[0], ["angle_deg", "distance_mm"]
-    return [head, *zip(places[begin:], rows[begin:], strict=True)]
+    said = [dict(_PAIR.findall(" ".join(cells))) for _, cells in body[begin:]]
+    names, rows = (
+        [*said[0]],
+        [[*one.values()] if one.keys() == said[0].keys() else [] for one in said],
+    )
+    if names == ["theta", "Dist", "Q"]:
+        names = ["angle_deg", "distance_mm"]
+        rows = [["-" + r[0], r[1] if r[1].strip("0.") else "inf"] if r else [] for r in rows]
+    places = [where for where, _ in body[begin:]]
+    return [(places[0], names), *zip(places, rows, strict=True)]
 
 
 def _unpacked(body: list[Row]) -> list[Row]:
@@ -209,7 +247,8 @@ def _unpacked(body: list[Row]) -> list[Row]:
 
     Columns of other lists are left out.
     """
-    lists = {i for _, row in body[1:3] for i, cell in enumerate(row) if _LIST.match(cell)}
+    few = [row[: len(body[0][1])] for _, row in body[1:3]]
+    lists = {i for row in few for i, cell in enumerate(row) if _LIST.match(cell)}
     if not lists:
         return body
     (where, names), rows = body[0], list[Row]()
@@ -243,7 +282,11 @@ def role_of(name: str) -> Role:
                 factor = _UNITS["ns"]
             return role or str(found[2]), 0, factor
     if found := _PLACE.fullmatch(name) or _PLACE.fullmatch(bare):
-        return f"{found[1] + '_' if found[1] else ''}{found[2] or 'theta'}", 0, _factor(said)
+        return (
+            f"{found[1] + '_' if found[1] else ''}{found[2] or 'theta'}",
+            0,
+            _factor(said.replace("grad", "deg")),
+        )
     return "", 0, 1.0
 
 
@@ -276,13 +319,11 @@ class _Table:
         if not ranges and "angle" in by:
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2], names)
-        if not ranges and {"x", "y"} <= set(names) <= {"x", "y", "z", "intensity"}:
-            expected = "columns angle and range: atan2(y, x) in radians, hypot(x, y) in metres"
-            found = f"columns {', '.join(names)} are points"
-            raise ScanError(f"{self.name}: {found}; expected {expected}")
         if not ranges:
             aside = [i for i, r in enumerate(roles) if r[0] or not names[i]]
             ranges = [i for i in range(len(names)) if i not in aside]
+            if {"x", "y"} <= by.keys() and all(names[i][:1] == "z" for i in ranges):
+                raise ScanError(f"{self.name}: columns {', '.join(names)}{_POINTS}")
             _check_alike([names[i] for i in ranges], self.name)
         used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
         self._parse([*used, *ranges] if names else None, names)
@@ -371,10 +412,14 @@ class _Table:
         if len(table) < 2 or table.shape[1] not in (2, 3):
             return {}
         with np.errstate(invalid="ignore"):  # from infinite to infinite
-            usual = np.median(steps := np.diff(table, axis=0), axis=0)
-            even = (2 * np.abs(steps - usual) < np.abs(usual)).mean(axis=0)
+            around = np.unwrap(np.arctan2(table[:, 1], table[:, 0]))
+            steps = np.diff(np.column_stack((table, around)), axis=0)
+            usual = np.median(steps, axis=0)
+            *even, turns = (2 * np.abs(steps - usual) < np.abs(usual)).mean(axis=0).tolist()
+        if 2 * turns > 1 and turns > max(even):
+            raise ScanError(f"{self.name}: its columns{_POINTS}")
         values = [len(np.unique(column)) for column in table.T]
-        at = int(even.argmax()) if len(table) > _EVEN else 0
+        at = int(np.argmax(even)) if len(table) > _EVEN else 0
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
         if rest[1:] and (2 * even[at] < 1 or 2 * values[rest[1]] > values[rest[0]]):
             return {}
@@ -389,18 +434,22 @@ class _Table:
         step = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
         high, low = known.max(initial=-math.inf), known.min(initial=math.inf)
         span, most = float(high - low), float(max(high, -low))
-        if unit != 1 or (most <= 2 * math.tau and span <= math.tau + 2 * step):
+        grad = math.isnan(unit)  # degrees in German, gradians in English
+        if not grad and (unit != 1 or (most <= 2 * math.tau and span <= math.tau + 2 * step)):
             return angles * unit
-        views = {name: (span + step) / times for name, times in _TIMES.items()}
-        fits = (name for name, view in views.items() if view <= _TURN + _OFF
+        finer = {"degrees": 1.0, "gradians": 10 / 9} if grad else _TIMES
+        seen = (span + step, *[span] * grad)
+        views = [(name, view / times) for name, times in finer.items() for view in seen]
+        fits = (name for name, view in views if view <= _TURN + _OFF
                 and abs(view - _VIEW * round(view / _VIEW)) <= _OFF)  # fmt: skip
-        name = "degrees" if span <= 2 * _TURN else next(fits, "")
+        likely = "degrees" if grad or span <= 2 * _TURN else ""
+        name = next(fits, likely) if grad or not likely else likely
         if not name:
             expected = "radians or degrees; or call their column angle_cdeg or angle_mrad"
             raise ScanError(f"{self.name}: angles: span {span:g}, expected {expected}")
         text = f"the angles span {span:g}, more than a turn in radians: they are taken for {name}"
         _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
-        return np.deg2rad(angles / _TIMES.get(name, 1.0))
+        return np.deg2rad(angles / finer.get(name, 1.0))
 
     def _turns(self, fov: float | None) -> bool:
         """Return whether the first column holds angles, and each other one a scan."""
@@ -416,12 +465,18 @@ class _Table:
     def _columns(self, at: int, unit: float, names: Sequence[str] = ()) -> ScanSet:
         """The scans of a table with a column of angles, and a column for each scan."""
         table = np.array([row for _, row in self.rows])
+        roles = ("", "range", "ranges", "scan")
+        scans = [k for k in range(table.shape[1])
+                 if k != at and (not names or role_of(names[k])[0] in roles)]  # fmt: skip
+        if len({re.sub(r"\d+", "", names[k]) for k in scans if names}) > 1:
+            found = f"columns {', '.join(names[k] for k in scans[:5])} beside angles"
+            raise ScanError(f"{self.name}: {found}, expected one that is called range")
         table = table * ([*map(self._metres, names)] or self.length)
         angles = self._radians(table[:, at], self.turn if unit == 1 else unit)
         said = {**self.settings, "angles": angles}
         entries: list[Entry] = [
             (f"{self.name}: column {k + 1}", {**said, "ranges": table[:, k]})
-            for k in range(table.shape[1]) if k != at and not np.isnan(table[:, k]).all()
+            for k in scans if not np.isnan(table[:, k]).all()
         ]  # fmt: skip
         return collect(entries, self.name, self.bad)
 

@@ -248,7 +248,7 @@ _MAGIC = (
     (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD),
     (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
     (rb"\s*(\{|\[\s*[\d{[])", _JSON), (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
-    (rb"(?:\s*#[^\n]*\n)*\s*[-+.\w]", _CSV),
+    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*[-+.\w]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
 _SPOKEN = (
@@ -410,7 +410,8 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
             value = value.reshape(shape, order="F" if fortran else "C")
             arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
         if "ranges" not in arrays:
-            raise wrong(f"{name}: ranges", ", ".join(archive.namelist())[:200], "ranges among them")
+            expected = "arrays called ranges, and angles in radians"
+            raise wrong(f"{name}: ranges", ", ".join(archive.namelist())[:200], expected)
     return arrays
 
 

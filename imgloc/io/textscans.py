@@ -33,6 +33,10 @@ NAMES = {
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
+_WORDS = {
+    r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(ind|qnan)\d*": math.nan,
+    r"\+?(∞|1\.#inf\d*|unendlich|infini(to)?)": math.inf,
+}  # as programs write them, and people
 _NANO = 1e14  # seconds that no stamp has, but nanoseconds
 _POSES = ("pose", "odom", "mount")
 _TYPES = {"ranges": LASER, "child_frame_id": ODOMETRY, "transforms": TF[0]}
@@ -260,16 +264,23 @@ def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[t
 
 def number_of(text: str, where: str) -> float:
     """The number that `text` spells, seconds of a date and time; nothing and ``null`` are NaN."""
-    if not text or text.lower() == "null":
+    if not text:
         return math.nan
     try:
         return float(text)
     except ValueError:
+        for words, value in _WORDS.items():
+            if re.fullmatch(words, text.lower()):
+                return value
         if isinstance(seconds := _seconds(text), float):
             return seconds
         hint = "; separate by commas, with decimal points" if re.search(r"[;\t ]", text) else ""
-        if where.endswith(": column 1") and not hint:
+        if text == "...":
+            hint = "; it was printed shortened: write all numbers"
+        elif where.endswith(": column 1") and not hint:
             hint = "; a table has lines such as 90.0,1230 below one of angle_deg,distance_mm"
+        elif ": column" in where and not hint:
+            hint = "; nan, or nothing, stands where a ray met nothing"
         raise ScanError(f"{where}: got {text[:40]!r}, expected a number{hint}") from None
 
 
@@ -306,7 +317,8 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     if isinstance(stamp, dict):
         parts = [stamp.get(a, stamp.get(b, 0)) for a, b in (("sec", "secs"), ("nanosec", "nsecs"))]
         parts[1] = parts[1] or stamp.get("nsec", 0)
-        seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in parts)
+        spelled = (number_of(p, f"{where}: stamp") if isinstance(p, str) else p for p in parts)
+        seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in spelled)
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = None if stamp is None else scalar(stamp, f"{where}: stamp")
     plain["laser"] = entry.get("laser", header.get("frame_id", ""))
