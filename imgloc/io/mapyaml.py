@@ -129,7 +129,8 @@ def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYa
         said[key] = convert(said[key])
         if said[key] is None and key not in given:
             if key not in values:
-                raise MapError(f"{name}: {key}: missing, expected {expected}")
+                hint = "; map_saver_cli saves a grid as image and YAML" * ("data" in values)
+                raise MapError(f"{name}: {key}: missing, expected {expected}{hint}")
             shown = repr(values[key])
             shown = shown if len(shown) <= 60 else shown[:57] + "..."
             hint = "; write a decimal point, not a comma" if _COMMA.search(shown) else ""
