@@ -13,7 +13,7 @@ import logging
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -69,24 +69,20 @@ _ROLES = (
 )  # fmt: skip
 _COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
 _SAMPLE = 10_000  # cells that show how numbers are spelled
-_OPEN = re.compile(r'"(array\()?[\[(][^"]*$')
-_PAIR = re.compile(
-    r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+]?(?:[\d.]+|inf|nan))", re.IGNORECASE
-)
+_PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
 # How many times as much ranges differ from the next number as from the one after it if others stand
 # between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole
 # numbers beside others the least share that is no chance (0.12 of a log in decimetres).
-_APART, _WHOLE = 4, 0.3
+_APART, _WHOLE, _FAR = 4, 0.3, 100.0  # the last in metres, in which other numbers have fractions
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
 _POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./][zw])")
 _AXES = "position/x", "position/y", "orientation/z", "orientation/w"
-_POINTS = (" are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y) in "
-           "metres")  # fmt: skip
+_POINTS = " are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y)"
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
 Role = tuple[str, int, float]  #: of a column, see :func:`role_of`
 
@@ -115,7 +111,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     """
     name, settings, comment, units = display(path), dict[str, Any](), "", ["", ""]
     lines, body = lines_of(path, other="cp1252"), list[Row]()
-    for line, text in _unbroken(lines.numbered):
+    for line, text in lines.numbered:
         where = f"{name}: line {line}"
         if text.startswith(("#", "//", "% ")):
             plain = re.sub(r"(\d),(\d)", r"\1.\2", text)
@@ -143,25 +139,6 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     elif len(names) != len(first) or any(map(is_number, names)):
         names = []
     return table.read(names, fov)
-
-
-def _unbroken(numbered: Sequence[tuple[int, str]]) -> Iterator[tuple[int, str]]:
-    """The lines of a table; a list in a quoted cell is one line, which NumPy breaks.
-
-    Examples
-    --------
-    >>> [*_unbroken([(1, 'a,"[1. 2.'), (2, '3. 4.]"'), (3, "b")])]
-    [(1, 'a,"[1. 2. 3. 4.]"'), (3, 'b')]
-    """
-    parts, begin = list[str](), 0
-    for line, text in numbered:
-        begin, odd = begin if parts else line, text.count('"') % 2
-        parts.append(text)
-        if odd == (len(parts) > 1) or (not odd and len(parts) == 1) or not _OPEN.search(parts[0]):
-            yield begin, " ".join(parts)
-            parts = []
-    if parts:
-        yield begin, " ".join(parts)
 
 
 def cells_of(text: str) -> list[str]:
@@ -203,17 +180,15 @@ def _pointed(body: list[Row], name: str) -> list[Row]:
             marked = [cell for cell in column if mark in cell and _SPELLED.match(cell)]
             below = {cell for cell in column if re.fullmatch(r"[1-9]\d\d", cell)}
             if len(below) > 1 and marked and all(map(form.fullmatch, marked)):
-                text = (
-                    f"{marked[0]} is taken for {marked[0].replace(mark, '')}: {mark} for thousands"
-                )
-                _LOG.warning("%s: %s", name, text, extra={"code": "thousands"})
+                _LOG.warning("%s: %s is taken to have its %s for thousands", name, marked[0], mark,
+                             extra={"code": "thousands"})  # fmt: skip
                 body = [(w, [c.replace(mark, "") if form.fullmatch(c) else c for c in row])
                         for w, row in body]  # fmt: skip
                 break
-    if all(row[-1:] == [""] and "" not in row[:-1] for _, row in body[1:] or body) and (
-        body[0][1][-1] == "" or len(body[0][1]) < len(body[-1][1])
-    ):  # a mark at the end of each line
-        body = [(w, row[:-1] if row[-1] == "" else row) for w, row in body]
+    first, rest = body[0][1], [row for _, row in body[1:] or body]
+    ends = not first[-1] or len(first) < len(rest[-1])  # there may be a mark at the end of lines
+    if ends and all(row[-1:] == [""] and "" not in row[:-1] for row in rest):
+        body = [(w, row[:-1] if not row[-1] else row) for w, row in body]
     return [(w, [_COMMA.sub(r"\1.\2", c) if "," in c else c for c in row]) for w, row in body]
 
 
@@ -223,23 +198,22 @@ def _spoken(body: list[Row]) -> list[Row]:
     RPLIDAR's SDK prints ``theta: 1.20 Dist: 02349.00 Q: 47``: degrees clockwise, millimetres, and
     0 where the ray met nothing. Lines before the first reading are about the device.
     """
-    texts = ((k, " ".join(cells)) for k, (_, cells) in enumerate(body[:_MANY]))
-    named = ((k, [role_of(key)[0] for key, _ in _PAIR.findall(text)]) for k, text in texts)
-    begin = next(
-        (k for k, roles in named if {"range"} < {*roles} & {"angle", "theta", "range"}), -1
-    )
-    if begin < 0:
+    roles = [{role_of(key)[0] for key, _ in _pairs(cells)} for _, cells in body[:_MANY]]
+    there = (k for k, found in enumerate(roles) if "range" in found and found & {"angle", "theta"})
+    if (begin := next(there, -1)) < 0:
         return body
-    said = [dict(_PAIR.findall(" ".join(cells))) for _, cells in body[begin:]]
-    names, rows = (
-        [*said[0]],
-        [[*one.values()] if one.keys() == said[0].keys() else [] for one in said],
-    )
+    said = [dict(_pairs(cells)) for _, cells in body[begin:]]
+    names = [*said[0]]
+    rows = [[*one.values()] if [*one] == names else [] for one in said]
     if names == ["theta", "Dist", "Q"]:
         names = ["angle_deg", "distance_mm"]
         rows = [["-" + r[0], r[1] if r[1].strip("0.") else "inf"] if r else [] for r in rows]
     places = [where for where, _ in body[begin:]]
     return [(places[0], names), *zip(places, rows, strict=True)]
+
+
+def _pairs(cells: Sequence[str]) -> list[tuple[str, str]]:
+    return _PAIR.findall(" ".join(cells))
 
 
 def _unpacked(body: list[Row]) -> list[Row]:
@@ -282,11 +256,8 @@ def role_of(name: str) -> Role:
                 factor = _UNITS["ns"]
             return role or str(found[2]), 0, factor
     if found := _PLACE.fullmatch(name) or _PLACE.fullmatch(bare):
-        return (
-            f"{found[1] + '_' if found[1] else ''}{found[2] or 'theta'}",
-            0,
-            _factor(said.replace("grad", "deg")),
-        )
+        said = said.replace("grad", "deg")
+        return f"{found[1] + '_' if found[1] else ''}{found[2] or 'theta'}", 0, _factor(said)
     return "", 0, 1.0
 
 
@@ -465,9 +436,8 @@ class _Table:
     def _columns(self, at: int, unit: float, names: Sequence[str] = ()) -> ScanSet:
         """The scans of a table with a column of angles, and a column for each scan."""
         table = np.array([row for _, row in self.rows])
-        roles = ("", "range", "ranges", "scan")
-        scans = [k for k in range(table.shape[1])
-                 if k != at and (not names or role_of(names[k])[0] in roles)]  # fmt: skip
+        others = (k for k in range(table.shape[1]) if k != at)
+        scans = [k for k in others if not names or role_of(names[k])[0] in ("", "range", "scan")]
         if len({re.sub(r"\d+", "", names[k]) for k in scans if names}) > 1:
             found = f"columns {', '.join(names[k] for k in scans[:5])} beside angles"
             raise ScanError(f"{self.name}: {found}, expected one that is called range")
@@ -521,9 +491,11 @@ class _Table:
         seen = np.where(np.isfinite(table) & (table > 0), table, np.nan)
         steps = (np.abs(seen[:, k:] - seen[:, :-k]) for k in (1, 2, 3))
         near, *far = map(_median, steps)
-        whole = seen[seen == np.round(seen)]
+        whole, fine = (seen[(seen == np.round(seen)) == is_whole] for is_whole in (True, False))
         share = len(whole) / max(1, int(np.count_nonzero(seen > 0)))
+        many = whole[whole >= _FAR] if fine[fine > 0].max(initial=0) < _FAR else whole[:0]
         block = _WHOLE < share < 1 - _WHOLE and len(np.unique(whole)) > _EVEN
+        block |= share < 1 - _WHOLE and len(np.unique(many)) > 2
         if block or near > max(_APART * min(far), _LIKE * _median(seen)):
             found = "other numbers, such as intensities, stand with the ranges"
             expected = "the ranges alone, or a first line of names: range0,intensity0,range1 ..."

@@ -40,15 +40,7 @@ from imgloc.io.files import (
     write_bytes_atomic,
     write_text_atomic,
 )
-from imgloc.io.images import (
-    MAX_PIXELS,
-    ImageSize,
-    MapImage,
-    decode_image,
-    encode_png,
-    image_size,
-    read_image,
-)
+from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, decode_image, encode_png, read_image
 from imgloc.io.mapyaml import (
     MODES,
     RESOLUTION_RANGE,
@@ -80,15 +72,9 @@ _OTHERS = {
     ".posegraph": "a pose graph of slam_toolbox; its service save_map, or map_saver_cli, saves the "
     "map",
     ".db": "a database, as of RTAB-Map; map_saver_cli saves the map while RTAB-Map runs",
-    **dict.fromkeys(
-        (".bt", ".ot"),
-        "an octree; octomap_server publishes a map of it, and map_saver_cli saves that",
-    ),
+    ".bt": "an octree; octomap_server publishes a map of it, and map_saver_cli saves that",
     ".stcm": "a map of Slamtec; slamware_ros_sdk publishes it, and map_saver_cli saves that",
-    **dict.fromkeys(
-        (".npy", ".mat"), "an array; save it as a grey PNG: 0 walls, 254 free, 205 unknown"
-    ),
-    ".gif": "a GIF; save it as PNG",
+    ".npy": "an array; save it as a grey PNG: 0 for walls, 254 for free, 205 for unknown",
     ".dwg": "a drawing; save it as DXF, and imgloc map plan makes a map of it",
     **dict.fromkeys((".pdf", ".svg", ".dxf"), "a drawing; imgloc map plan makes a map of it"),
 }
@@ -437,7 +423,7 @@ def resolve_settings(path: PathLike, **reading: "Unpack[Reading]") -> MapSetting
         if hint := _OTHERS.get(file.suffix.lower()):
             raise MapError(f"{name}: is no map: {hint}")
         if "resolution" not in given:
-            image_size(path)  # what cannot be read has another remedy
+            read_image(path, allow_lossy=True)  # what cannot be has another remedy
             hint = ", expected metres per cell; pass `resolution`, or the map's YAML"
             for beside in yamls_of(file):
                 hint = f"; give {display(beside.path)} instead of the image, or pass `resolution`"

@@ -33,10 +33,9 @@ NAMES = {
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
-_WORDS = {
-    r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(ind|qnan)\d*": math.nan,
-    r"\+?(∞|1\.#inf\d*|unendlich|infini(to)?)": math.inf,
-}  # as programs write them, and people
+_NO = r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(?:ind|qnan)\d*"
+_WORDS = re.compile(rf"{_NO}|(\+?(?:∞|1\.#inf\d*|unendlich|infini(?:to)?))")  # of programs, people
+_LISTS = re.compile(r'"(?:array\()?[\[(][^"]*"')  # in a cell, of which NumPy breaks the lines
 _NANO = 1e14  # seconds that no stamp has, but nanoseconds
 _POSES = ("pose", "odom", "mount")
 _TYPES = {"ranges": LASER, "child_frame_id": ODOMETRY, "transforms": TF[0]}
@@ -245,6 +244,7 @@ class Lines(NamedTuple):
 def lines_of(path: PathLike, most: int = MAX_LINE, *, other: str = "") -> Lines:
     """The lines of a file of text, each of at most so many characters; see :func:`read_text`."""
     text = read_text(path, other=other)
+    text = _LISTS.sub(lambda cell: cell[0].replace("\n", " "), text) if other else text
     text = text if "\n" in text else text.replace("\r", "\n")
     numbered = check_lines(text.split("\n"), display(path), most)
     return Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
@@ -269,9 +269,8 @@ def number_of(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        for words, value in _WORDS.items():
-            if re.fullmatch(words, text.lower()):
-                return value
+        if word := _WORDS.fullmatch(text.lower()):
+            return math.inf if word[1] else math.nan
         if isinstance(seconds := _seconds(text), float):
             return seconds
         hint = "; separate by commas, with decimal points" if re.search(r"[;\t ]", text) else ""
