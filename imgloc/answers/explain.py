@@ -233,14 +233,9 @@ def explain_rays(
 
 
 def faced(
-    end: FloatArray,
-    psi: FloatArray,
-    alpha: FloatArray,
-    sigma: FloatArray,
-    surface: OrientedPoints,
-    *,
-    reach: float,
-) -> BoolArray:
+    end: FloatArray, psi: FloatArray, alpha: FloatArray, sigma: FloatArray, surface: OrientedPoints,
+    *, reach: float,
+) -> BoolArray:  # fmt: skip
     """Return whether a ray ends on a surface that faces it: (N,) bool.
 
     Asked are the surface points about as near as the nearest. One of them must face the sensor

@@ -74,14 +74,9 @@ class PoseFit(ByContent):
 
 
 def fit_at(
-    features: MapFeatures,
-    scan: LaserScan,
-    pose: Pose2D,
-    options: Options,
-    *,
-    shared: Shared | None = None,
-    settle: bool = False,
-) -> PoseFit:
+    features: MapFeatures, scan: LaserScan, pose: Pose2D, options: Options, *,
+    shared: Shared | None = None, settle: bool = False,
+) -> PoseFit:  # fmt: skip
     """Score one pose by the default method, and judge each ray there.
 
     Parameters

@@ -17,12 +17,9 @@ _ALL = 200  # more hypotheses than are found
 
 
 def sample_poses(
-    features: MapFeatures,
-    scan: LaserScan,
-    count: int,
-    rng: np.random.Generator,
+    features: MapFeatures, scan: LaserScan, count: int, rng: np.random.Generator,
     options: Options | None = None,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Draw poses (count, 3) of the sensor, map frame, from the calibrated posterior of a scan.
 
     Parameters

@@ -45,14 +45,9 @@ def map_hash(grid: OccupancyGrid) -> str:
 
 
 def save_calibrations(
-    path: PathLike,
-    grid: OccupancyGrid,
-    calibrations: Mapping[str, Calibration],
-    about: Mapping[str, Mapping[str, object]],
-    *,
-    shared: Shared | None = None,
-    force: bool = False,
-) -> None:
+    path: PathLike, grid: OccupancyGrid, calibrations: Mapping[str, Calibration],
+    about: Mapping[str, Mapping[str, object]], *, shared: Shared | None = None, force: bool = False,
+) -> None:  # fmt: skip
     """Write what was fitted on a map; what the file holds for other methods stays.
 
     `calibrations` and `about` (what decided them, as plain values: seed, trials, sensor ...) are by

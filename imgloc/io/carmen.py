@@ -240,10 +240,8 @@ def _choose(counts: Counter[str], topic: str | None, name: str) -> str:
 
 def _message(words: Sequence[str], where: str) -> _Message:
     """The message of a line; a ScanError that names the word that is missing or is no number."""
-    word = words[0]
-    read = _robot_laser if word.startswith("ROBOTLASER") else _OTHER.get(word, _raw)
     try:
-        return read(words, where)
+        return _OTHER.get(words[0], _configured)(words, where)
     except (ValueError, IndexError):
         raise ScanError(f"{where}: {_fault(words)}") from None
 
@@ -320,10 +318,12 @@ def _centimetres(words: Sequence[str], where: str) -> _Message:
     return _Message(where, ranges, stamp, laser=laser, robot=robot)
 
 
-def _configured(words: Sequence[str], where: str) -> tuple[_Message, Sequence[str]]:
-    """``type start fov res max accuracy mode n r.. [m rem..]``, and the words behind.
+def _configured(words: Sequence[str], where: str) -> _Message:
+    """``ROBOTLASER1``, ``RAWLASER1``: ``type start fov res max accuracy mode n r.. [m rem..]``.
 
-    Old messages have no number of remissions, which only the number of words shows.
+    Then comes ``laser-pose robot-pose tv rv forward side turn`` of the former, and of both
+    ``time host time``. Old messages have no number of remissions, which only the number of words
+    shows.
     """
     start, fov, step, reach = map(float, words[2:6])
     ranges, rest, after = _cut(words)
@@ -334,19 +334,9 @@ def _configured(words: Sequence[str], where: str) -> tuple[_Message, Sequence[st
         total = len(words)
         raise wrong(where, f"{total} words", f"{n} readings and {after} words after remissions")
     angles = start + np.arange(n) * (step if step else fov / max(n - 1, 1))
-    return _Message(where, ranges, float(rest[-3]), np.asarray(angles), reach), rest
-
-
-def _robot_laser(words: Sequence[str], where: str) -> _Message:
-    """``ROBOTLASER1 .. laser-pose robot-pose tv rv forward side turn time host time``."""
-    message, rest = _configured(words, where)
-    laser, robot = wrapped_pose(*map(float, rest[:3])), wrapped_pose(*map(float, rest[3:6]))
-    return replace(message, laser=laser, robot=robot)
-
-
-def _raw(words: Sequence[str], where: str) -> _Message:
-    """``RAWLASER1 .. time host time``."""
-    return _configured(words, where)[0]
+    poses = (rest[:3], rest[3:6]) if words[0].startswith("ROBOT") else ()
+    at = [wrapped_pose(*map(float, pose)) for pose in poses]
+    return _Message(where, ranges, float(rest[-3]), np.asarray(angles), reach, *at)
 
 
 _OTHER = {"FLASER": _flaser, "RLASER": _flaser, "Laser": _laser, "L": _centimetres}

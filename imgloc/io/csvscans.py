@@ -327,8 +327,8 @@ class _Table:
             more = {key: [row[i] * roles[i][2] for i in at] or None for key, at in places.items()}
             said: dict[str, Any] = {key: float(row[by[key]]) for key in _SETTINGS if key in by}
             said = {key: value for key, value in said.items() if not math.isnan(value)}
-            while "angle_min" in said and len(values) > 1 and _beyond(said, values):
-                values = values[:-1]  # a shorter scan than others
+            if (rays := _rays_of(said)) and np.isnan(values[rays:]).all():
+                values = values[:rays]  # a shorter scan than others
             stamp = _stamp_of(row, by, roles)
             said |= {"ranges": values, "stamp": stamp, **more}
             entries.append((where, {**self.settings, **said}))
@@ -550,18 +550,11 @@ def _is_echo(cells: Sequence[str]) -> bool:
 
 
 def _rays_of(said: Mapping[str, float]) -> int:
-    """Number of the rays that a line names; 0 if its angles cannot be."""
+    """Number of the rays that a line names; 0 if it does not, or its angles cannot be."""
     try:
         return 1 + round((said["angle_max"] - said["angle_min"]) / said["angle_increment"])
-    except (ZeroDivisionError, OverflowError, ValueError):  # an infinity, or NaN
+    except (KeyError, ZeroDivisionError, OverflowError, ValueError):  # an infinity, or NaN
         return 0
-
-
-def _beyond(said: Mapping[str, float], values: FloatArray) -> bool:
-    """Return whether the last cell is empty, and beyond the last ray that the line names."""
-    if not {"angle_max", "angle_increment"} <= said.keys() or not said["angle_increment"]:
-        return False
-    return bool(np.isnan(values[-1])) and len(values) > _rays_of(said)
 
 
 def _stamp_of(row: FloatArray, by: Mapping[str, int], roles: Sequence[Role]) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, IntArray
+from imgloc.model import FloatArray
 
 
 def lasers_of(topic: str) -> list[str]:
@@ -83,21 +83,14 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
     joined = [replace(scan, laser=named[laser]) for laser, s in sets.items() for scan in s.scans]
     return ScanSet(
         tuple(joined[k] for k in order),
-        _all([s.poses for s in every], order),
+        None if any(s.poses is None for s in every) else _each(every, "poses")[order],
         stamps[order],
-        _odometry(every, order),
+        None if all(s.odom is None for s in every) else _each(every, "odom")[order],
         every[0].recording,
     )
 
 
-def _all(parts: Sequence[FloatArray | None], order: IntArray) -> FloatArray | None:
-    given = [part for part in parts if part is not None]
-    return np.concatenate(given)[order] if len(given) == len(parts) else None
-
-
-def _odometry(sets: Sequence[ScanSet], order: IntArray) -> FloatArray | None:
-    """That of each scan, NaN where its laser has none; None if no laser has any."""
-    if all(scans.odom is None for scans in sets):
-        return None
-    each = [np.full((len(s), 3), np.nan) if s.odom is None else s.odom for s in sets]
-    return np.asarray(np.concatenate(each)[order])
+def _each(sets: Sequence[ScanSet], key: str) -> FloatArray:
+    """Poses (N, 3) of all scans, NaN where those of a laser are not known."""
+    parts = [(len(scans), getattr(scans, key)) for scans in sets]
+    return np.concatenate([np.full((n, 3), np.nan) if at is None else at for n, at in parts])

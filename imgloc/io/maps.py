@@ -152,13 +152,9 @@ def load_map(
 
 
 def map_of_bytes(
-    image: bytes,
-    yaml: bytes | None,
-    name: str,
-    *,
-    allow_lossy: bool = False,
+    image: bytes, yaml: bytes | None, name: str, *, allow_lossy: bool = False,
     **reading: "Unpack[Reading]",
-) -> OccupancyGrid:
+) -> OccupancyGrid:  # fmt: skip
     r"""Make a map of the contents of its files, as :func:`load_map`; no file is opened.
 
     Parameters

@@ -70,16 +70,10 @@ _MAX_BYTES = 16 * MAX_READINGS
 
 
 def load_scans(
-    path: PathLike,
-    *,
-    topic: str | None = None,
-    fov: float | None = None,
-    max_bad: float = MAX_BAD,
-    height: Height | None = None,
-    odom: str | None = None,
-    range_max: float | None = None,
+    path: PathLike, *, topic: str | None = None, fov: float | None = None, max_bad: float = MAX_BAD,
+    height: Height | None = None, odom: str | None = None, range_max: float | None = None,
     sensor: Pose2D | None = None,
-) -> ScanSet:
+) -> ScanSet:  # fmt: skip
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
     ScanError names the file, the line or key, what was found and what was expected.

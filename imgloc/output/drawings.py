@@ -17,13 +17,9 @@ from imgloc.runs.opening import Drawing
 
 
 def draw_answer(
-    features: MapFeatures,
-    answer: Localization,
-    scan: LaserScan,
-    truth: Pose2D | None,
-    options: Options,
-    title: str = "",
-) -> dict[str, bytes]:
+    features: MapFeatures, answer: Localization, scan: LaserScan, truth: Pose2D | None,
+    options: Options, title: str = "",
+) -> dict[str, bytes]:  # fmt: skip
     """The scan over the map at each hypothesis, the likelihood of every place, and the reasons.
 
     Only an answer that is not unique, or wrong, has a page that explains it ray by ray.

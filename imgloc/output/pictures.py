@@ -50,16 +50,10 @@ _INSET = 340  # pixels of a side
 
 
 def draw(
-    place: OccupancyGrid | MapFeatures,
-    answer: Localization | Likelihood | None = None,
-    scan: LaserScan | None = None,
-    *,
-    truth: Pose2D | None = None,
-    title: str = "",
-    note: str = "",
-    what: str = "map",
-    at: tuple[float, float] | None = None,
-) -> Picture:
+    place: OccupancyGrid | MapFeatures, answer: Localization | Likelihood | None = None,
+    scan: LaserScan | None = None, *, truth: Pose2D | None = None, title: str = "", note: str = "",
+    what: str = "map", at: tuple[float, float] | None = None,
+) -> Picture:  # fmt: skip
     """Draw a map, what is computed from it, or an answer on it.
 
     Parameters

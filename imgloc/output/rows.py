@@ -19,14 +19,9 @@ if TYPE_CHECKING:
 
 
 def answer_row(
-    answer: Localization,
-    scan: LaserScan,
-    index: int = 0,
-    *,
-    sensor: Pose2D | None = None,
-    flipped: bool = False,
-    about: Mapping[str, object] | None = None,
-) -> dict[str, Any]:
+    answer: Localization, scan: LaserScan, index: int = 0, *, sensor: Pose2D | None = None,
+    flipped: bool = False, about: Mapping[str, object] | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """The row of `imgloc localize --json`.
 
     Parameters

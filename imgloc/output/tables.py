@@ -31,12 +31,9 @@ _LISTED = 3  # maps that a line of `imgloc which` names
 
 
 def as_plain(
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    *,
-    left: int = 0,
+    columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 0,
     width: int | None = None,
-) -> str:
+) -> str:  # fmt: skip
     """Format a table of cells under headings, `left` of the columns flush left; none is ever cut.
 
     What is wider than `width` characters goes on in further tables, below, with the `left` columns

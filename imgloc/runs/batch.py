@@ -123,21 +123,12 @@ def _count(found: list[dict[str, Any]], about: Row, name: str) -> None:
 
 
 def run_batch(
-    maps: PathLike,
-    scans: PathLike | None,
-    out: PathLike,
-    job: Job | None = None,
-    *,
-    workers: int | None = None,
-    executor: Executor | None = None,
-    timeout: float | None = TIMEOUT,
-    memory_limit: int | None = None,
-    means: Means | None = None,
-    resume: bool = False,
-    retry_failed: bool = False,
-    items: Sequence[Item] | None = None,
+    maps: PathLike, scans: PathLike | None, out: PathLike, job: Job | None = None, *,
+    workers: int | None = None, executor: Executor | None = None, timeout: float | None = TIMEOUT,
+    memory_limit: int | None = None, means: Means | None = None, resume: bool = False,
+    retry_failed: bool = False, items: Sequence[Item] | None = None,
     on_row: Callable[[Row], None] | None = None,
-) -> BatchSummary:
+) -> BatchSummary:  # fmt: skip
     """Do a job with every map and every file of scans, and write a row for each.
 
     Parameters
@@ -240,12 +231,9 @@ def summarise(rows: Iterable[Row]) -> BatchSummary:
 
 
 def remaining(
-    items: Sequence[Item],
-    job: Job,
-    known: Mapping[tuple[str, str | None], tuple[str, str]],
-    *,
+    items: Sequence[Item], job: Job, known: Mapping[tuple[str, str | None], tuple[str, str]], *,
     retry_failed: bool = False,
-) -> list[Item]:
+) -> list[Item]:  # fmt: skip
     """The items that have no row of the same key; `known` are keys and statuses of rows."""
     digest = job.digest
 

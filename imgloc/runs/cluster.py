@@ -54,12 +54,9 @@ class ClusterExecutor(Executor):
 
 @contextlib.contextmanager
 def cluster(
-    address: str,
-    *,
-    workers: int | None = None,
-    timeout: float | None = None,
+    address: str, *, workers: int | None = None, timeout: float | None = None,
     memory_limit: int | None = None,
-) -> Iterator[Executor]:
+) -> Iterator[Executor]:  # fmt: skip
     """Give an executor on a cluster that runs, or on one of this machine for as long as it is used.
 
     Parameters

@@ -194,13 +194,9 @@ class Supervised(Executor):
     """
 
     def __init__(
-        self,
-        workers: int,
-        *,
-        timeout: float | None = None,
-        memory_limit: int | None = None,
+        self, workers: int, *, timeout: float | None = None, memory_limit: int | None = None,
         module: str | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._tasks: deque[tuple[Future[Any], Callable[..., Any], Any, Any]] = deque()
         self._more = threading.Condition()
         self._closed, self._module = False, module
