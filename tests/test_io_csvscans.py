@@ -195,7 +195,7 @@ def test_marks_between_thousands_are_no_decimal_ones(tmp_path: Path, caplog, mon
             cells = [[f'"{c}"' for c in row] for row in cells] if between == mark else cells
             scans = loaded(tmp_path, said + table([], cells, between))
             np.testing.assert_array_equal([scan.ranges for scan in scans.scans], some)
-    assert "for thousands" in caplog.text
+    assert "in thousands" in caplog.text
     cells = [[f"{v:.3f}".replace(".", ",") for v in row] for row in RANGES]
     assert loaded(tmp_path, said + table([], cells, ";"))[0].ranges[0] == RANGES[0, 0]
 
@@ -205,7 +205,7 @@ def test_intensities_without_a_name_are_refused(tmp_path: Path, how: str) -> Non
     near, many = np.linspace(1, 3, RAYS) + 0.01 * RANGES, np.resize(np.arange(40, 60), (N, RAYS))
     rows = {"after": np.hstack((near, many)), "between": np.stack((near, many + 0.5), 2),
             "in threes": np.stack((near, many, 10 * many), 2)}[how].reshape(N, -1)  # fmt: skip
-    with pytest.raises(ScanError, match="other numbers, such as intensities, stand with the"):
+    with pytest.raises(ScanError, match="other numbers, such as intensities, or marks"):
         loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + table([], rows.tolist()))
     names = [f"{word}{k}" for k in range(RAYS) for word in ("range", "intensity")]
     if how == "between":

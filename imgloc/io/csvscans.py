@@ -176,15 +176,17 @@ def _pointed(body: list[Row], name: str) -> list[Row]:
     columns = [*itertools.zip_longest(*some, fillvalue="")] if len(some) > 1 else some
     for mark in ",.'":
         form = re.compile(rf"[-+]?[1-9]\d?\d?(\{mark}\d{{3}})+")
+        both = list[str]()  # cells of columns with such a mark, and without
         for column in columns:
-            marked = [cell for cell in column if mark in cell and _SPELLED.match(cell)]
-            below = {cell for cell in column if re.fullmatch(r"[1-9]\d\d", cell)}
-            if len(below) > 1 and marked and all(map(form.fullmatch, marked)):
-                _LOG.warning("%s: %s is taken to have its %s for thousands", name, marked[0], mark,
-                             extra={"code": "thousands"})  # fmt: skip
-                body = [(w, [c.replace(mark, "") if form.fullmatch(c) else c for c in row])
-                        for w, row in body]  # fmt: skip
-                break
+            there = [cell for cell in column if mark in cell and _SPELLED.match(cell)]
+            below = [cell for cell in column if re.fullmatch(r"[1-9]\d\d", cell)]
+            both += [*there, *below] if there and below else []
+        marked = [cell for cell in both if mark in cell]
+        if len({*both} - {*marked}) > 1 and all(map(form.fullmatch, marked)):
+            _LOG.warning("%s: %s is read as %s, in thousands", name, marked[0],
+                         marked[0].replace(mark, ""), extra={"code": "thousands"})  # fmt: skip
+            body = [(w, [c.replace(mark, "") if form.fullmatch(c) else c for c in row])
+                    for w, row in body]  # fmt: skip
     first, rest = body[0][1], [row for _, row in body[1:] or body]
     ends = not first[-1] or len(first) < len(rest[-1])  # there may be a mark at the end of lines
     if ends and all(row[-1:] == [""] and "" not in row[:-1] for row in rest):
@@ -497,8 +499,8 @@ class _Table:
         block = _WHOLE < share < 1 - _WHOLE and len(np.unique(whole)) > _EVEN
         block |= share < 1 - _WHOLE and len(np.unique(many)) > 2
         if block or near > max(_APART * min(far), _LIKE * _median(seen)):
-            found = "other numbers, such as intensities, stand with the ranges"
-            expected = "the ranges alone, or a first line of names: range0,intensity0,range1 ..."
+            found = "other numbers, such as intensities, or marks of thousands are in the ranges"
+            expected = "ranges as 1234.5, or a first line of names: range0,intensity0,range1 ..."
             raise ScanError(f"{self.name}: {found}; expected {expected}")
 
     def _readings(self, by: Mapping[str, int], roles: Sequence[Role]) -> ScanSet:
