@@ -61,7 +61,6 @@ def served(*words: object, cwd: Path | None = None, **environment: str) -> Itera
         command([*first, *words]), stdout=pipe, stderr=pipe, text=True, cwd=cwd,
         env={**os.environ, **environment},
     )  # fmt: skip
-    assert process.stdout is not None
     line = process.stdout.readline() if select.select([process.stdout], [], [], 60)[0] else ""
     if not line.startswith("http"):
         process.kill()

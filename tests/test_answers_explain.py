@@ -152,7 +152,6 @@ def test_the_best_likelihood_of_a_picture_is_near_the_pose() -> None:
     why = explain(features_of("curved"), scan_of("curved"), answer_of("curved", "fused"), Options())
     assert why.layer.name == "cbml"
     stack = why.layer.likelihood
-    assert stack is not None
     row, column = np.unravel_index(np.argmax(stack.values[0]), stack.grid.shape)
     at = Pose2D((column + 0.5) * stack.grid.resolution, (row + 0.5) * stack.grid.resolution)
     assert error(at, POSES["curved"])[0] < 0.5
@@ -179,7 +178,6 @@ def test_outside_the_prior_the_picture_is_empty(room) -> None:
     cells = near(room.grid.info, 3.0, 2.4, 0.6)
     options = Options(prior=Prior(cells, None, {"near": "here"}))
     why = explain(room, scan, localize(room, scan, options), options)
-    assert why.layer.likelihood is not None
     cell = why.layer.likelihood.grid.resolution
     rows, columns = np.nonzero(why.layer.likelihood.values[0])
     assert rows.size > 0

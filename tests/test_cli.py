@@ -238,7 +238,6 @@ def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path, tmp_path:
     log = tmp_path / "many.npz"
     words = command(["localize", MAPS / "curved.yaml", log, "--json", "--threads", "1"])
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
-        assert run.stdout is not None
         assert rows(run.stdout.readline().decode())[0]["index"] == 0  # flushed one by one
         run.send_signal(signal.SIGINT)
         out, err = run.communicate(timeout=30)

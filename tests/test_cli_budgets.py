@@ -164,7 +164,6 @@ def test_no_command_decodes_an_image_over_the_budget(
     before = sorted(folder.iterdir())
     run = call(*words(command, folder), "--memory-budget", "500M").ends(2, out="")
     found = re.search(r"m.png: an image of 11000 x 11000 pixels needs (\d+) MiB of memory", run.err)
-    assert found is not None
     assert 700 < int(found[1]) < 2000
     assert "the budget is 500 MiB: crop the map, or raise --memory-budget" in run.err
     assert sorted(folder.iterdir()) == before
@@ -226,7 +225,6 @@ def test_scans_that_are_held_count_beside_the_answer(tmp_path: Path) -> None:
     given = ("localize", CURVED, path, "--scans-index", 0, "--no-cache", "--threads", 1)
     run = call(*given, "--memory-budget", "60M")
     found = re.search(r"\((\d+) MiB\) with .*\((\d+) MiB\) and scans \((\d+) MiB\)", run.err)
-    assert found is not None
     answer, features, scans = map(int, found.groups())
     assert 8 <= scans <= 40
     assert call(*given, "--memory-budget", f"{answer + features + 1}M").code == 2

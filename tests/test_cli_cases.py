@@ -93,6 +93,11 @@ def test_the_cases_give_what_their_kind_should(
         "inspect 04-nodding-laser/nod.bag": "left out 53 of 60 scans",
         "inspect 06-next-command-drops-options/map.png scans.yaml --resolution 0.1 --origin 5,5,0 "
         "--sensor 0.1,0,0": "--scans-index 4 --sensor 0.1,0,0 --resolution 0.1 --origin 5,5,0",
+        "inspect 11-csv-exports/n_rostopic_p.csv": "6 of 360 rays",
+        "inspect 11-csv-exports/n2_ros2_csv.csv": "6 of 360 rays",
+        "inspect 11-csv-exports/n3_bagpy.csv": "6 of 360 rays",
+        "inspect 12-time-and-angles-read-as-ranges/n5_first_row_angles.csv": "6 of 181 rays",
+        "inspect 17-json-wrappers/o_rosbridge.jsonl": "6 of 360 rays",
         "inspect 17-json-wrappers/r_csm.json": "6 of 181 rays, -90 to 90 degrees",
         "inspect 09-max-bad-has-no-effect-on-bags/one_of_300.bag": "left out 1 of 300 scans",
         "inspect 09-max-bad-has-no-effect-on-bags/one_empty.yaml --max-bad 0.5": "left out 1 of 6",
@@ -110,6 +115,7 @@ def test_the_cases_give_what_their_kind_should(
         assert text in run.out
         assert "nan %" not in run.out
         assert "    jump:" not in run.out
+        assert "odometry-units" not in run.out
         assert "    grey-205" not in run.out
 
 

@@ -58,7 +58,6 @@ def followed(text: str, *words: object) -> Run:
 
 def line_of(run: subprocess.Popen[str], seconds: float = 30.0) -> str:
     """The next line of output; nothing if it does not come in time."""
-    assert run.stdout is not None
     return run.stdout.readline() if select.select([run.stdout], [], [], seconds)[0] else ""
 
 

@@ -78,7 +78,6 @@ def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None
     assert (code, text) == (0, "")
     assert err.splitlines()[-1].startswith(f"imgloc: wrote {out}: {what}, ")
     picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
-    assert picture is not None
     assert picture.shape[0] > picture.shape[1] * 3 // 4  # by a title and a legend
     assert len(np.unique(picture @ np.array([1, 1 << 8, 1 << 16]))) > 2  # colours
     before = out.read_bytes()
@@ -143,7 +142,6 @@ def test_the_likelihood_of_a_scan_is_one_command(tmp_path: Path) -> None:
     words = ("map", "show", "curved", "--what", "likelihood", "--out", out)
     call(*words, "--scans", scans, "--method", "ght-v").ends(0, out="")
     picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
-    assert picture is not None
     assert picture.min() == 0
     assert len(np.unique(picture[:, :, 0])) > 50
     words = (*words, "--force")

@@ -74,7 +74,6 @@ def test_what_is_stored_comes_back_read_only(tmp_path: Path) -> None:
     assert entry_names(folder, KEY) == frozenset()
     assert store_entry(folder, KEY, ARRAYS)
     back = load_entry(folder, KEY)
-    assert back is not None
     assert back.keys() == ARRAYS.keys() == entry_names(folder, KEY)
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(back[name], array)
@@ -115,7 +114,6 @@ def test_transposed_arrays_come_back_equal(tmp_path: Path) -> None:
     array = np.arange(12).reshape(3, 4).T
     store_entry(tmp_path, KEY, {"a": array})
     back = load_entry(tmp_path, KEY)
-    assert back is not None
     np.testing.assert_array_equal(back["a"], array)
 
 

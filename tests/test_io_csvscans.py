@@ -1,6 +1,5 @@
 """Tables that others write: columns are understood by their names and by what they hold."""
 
-import json
 import logging
 import math
 from datetime import datetime, timezone
@@ -8,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import call
 
 from imgloc.errors import ScanError
 from imgloc.io.scans import load_scans
@@ -19,6 +17,7 @@ ANGLES = np.linspace(-np.pi / 2, np.pi / 2, RAYS)
 RANGES = np.random.default_rng(3).uniform(1, 9, (N, RAYS)).round(3)
 STEP = ANGLES[1] - ANGLES[0]
 STAMPS = 1.7e9 + 0.1 * np.arange(N)
+SAID, VIEW = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n", "# angle_min=-1, angle_max=1\n"
 FIELDS = {
     "angle_min": ANGLES[0], "angle_max": ANGLES[-1], "angle_increment": STEP,
     "time_increment": 0.0, "scan_time": 0.1, "range_min": 0.05, "range_max": 12.0,
@@ -75,13 +74,11 @@ def exported(kind: str) -> str:
             [*head, *(f"ranges[{k}]" for k in n)], [[*stamps[k], *RANGES[k]] for k in range(N)]
         )
     if kind == "dates":
-        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
         dates = [datetime.fromtimestamp(t, timezone.utc).isoformat() for t in STAMPS]
-        return said + table([], [[dates[k], *RANGES[k]] for k in range(N)])
+        return SAID + table([], [[dates[k], *RANGES[k]] for k in range(N)])
     if kind == "pandas":
         head = ["", "timestamp_ms", *(f"range_{k}" for k in n)]
-        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}, range_max=12\n"
-        return said + table(head, [[k, 1000 * t, *RANGES[k]] for k, t in enumerate(STAMPS)])
+        return SAID + table(head, [[k, 1000 * t, *RANGES[k]] for k, t in enumerate(STAMPS)])
     if kind.startswith("lists in cells"):
         form = {"tuples": "({})", "arrays": "array('f', [{}])"}.get(kind.split()[-1], "[{}]")
         name = "/scan/ranges" if "NumPy" in kind else "ranges"
@@ -89,19 +86,16 @@ def exported(kind: str) -> str:
         cells = [f'"{form.format(mark.join(map(str, scan)))}"' for scan in RANGES]
         rows = [[k, STAMPS[k], *values, cells[k], '"()"'] for k in range(N)]
         return table(["", "timestamp", *FIELDS, name, "intensities"], rows)
-    if kind in ("angles first, time first", "angles first, a number above the time"):
+    if kind.startswith("angles first"):
         above = 0 if "number" in kind else ""
-        return table([above, *ANGLES], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
-    if kind == "angles first in degrees":
-        return table(["time", *np.rad2deg(ANGLES).round(4)],
-                     [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])  # fmt: skip
+        first = ["time", *np.rad2deg(ANGLES).round(4)] if "degrees" in kind else [above, *ANGLES]
+        return table(first, [[t, *RANGES[k]] for k, t in enumerate(STAMPS)])
     if kind == "rounded angles first":
         fine = np.linspace(-np.pi / 2, np.pi / 2, 361).round(2)
         return table(["", *fine], [[t, *np.resize(RANGES[k], 361)] for k, t in enumerate(STAMPS)])
     if kind == "names that say nothing":
-        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
         head = [f"Var{k + 1}" for k in range(RAYS + 1)]
-        return said + table(head, [[0.1 * k, *RANGES[k]] for k in range(N)])
+        return SAID + table(head, [[0.1 * k, *RANGES[k]] for k in range(N)])
     if kind == "angles down":
         return table([], [[a, *RANGES[:, k]] for k, a in enumerate(ANGLES)])
     if kind == "angles down by name":
@@ -122,13 +116,11 @@ def exported(kind: str) -> str:
             [], [[a, r] for scan in RANGES for a, r in zip(ANGLES, scan, strict=True)], "\t"
         )
     if kind in BETWEEN:
-        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
-        text = said + table([], RANGES.tolist(), BETWEEN[kind])
+        text = SAID + table([], RANGES.tolist(), BETWEEN[kind])
         return text.replace("\n", "\r") if "ends" in kind else text
     if kind in ("time first", "time last"):
-        said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
         rows = np.column_stack((STAMPS, RANGES) if kind == "time first" else (RANGES, STAMPS))
-        return said + table([], rows.tolist())
+        return SAID + table([], rows.tolist())
     assert kind == "savetxt"
     head = f"# t {' '.join(f'r{k}' for k in n)}\n# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
     return head + table([], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)], " ")
@@ -170,10 +162,9 @@ def test_a_table_of_somebody_is_read(tmp_path: Path, kind: str) -> None:
 
 def test_a_line_that_numbers_the_columns_is_no_scan(tmp_path: Path, caplog, monkeypatch) -> None:
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
-    said = f"# angle_min={ANGLES[0]}, angle_max={ANGLES[-1]}\n"
     plain = table(list(range(RAYS)), RANGES.tolist())
     index = table(["", *range(RAYS)], [[k, *RANGES[k]] for k in range(N)])
-    for text in (said + plain, said + index):
+    for text in (VIEW + plain, VIEW + index):
         np.testing.assert_allclose([scan.ranges for scan in loaded(tmp_path, text).scans], RANGES)
     (tmp_path / "a.csv").write_text(index)
     np.testing.assert_allclose(load_scans(tmp_path / "a.csv", fov=np.pi)[0].angles, ANGLES)
@@ -188,16 +179,16 @@ def test_a_line_that_numbers_the_columns_is_no_scan(tmp_path: Path, caplog, monk
 
 def test_marks_between_thousands_are_no_decimal_ones(tmp_path: Path, caplog, monkeypatch) -> None:
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
-    said, mm = "# angle_min=-1, angle_max=1\n", np.round(1000 * RANGES / 3)
+    mm = np.round(1000 * RANGES / 3)
     for between, mark in ((";", ","), (";", "."), ("\t", "'"), (",", ",")):
         for some in (mm, mm[:1]):
             cells = [[f"{v:,.0f}".replace(",", mark) for v in row] for row in some]
             cells = [[f'"{c}"' for c in row] for row in cells] if between == mark else cells
-            scans = loaded(tmp_path, said + table([], cells, between))
+            scans = loaded(tmp_path, VIEW + table([], cells, between))
             np.testing.assert_array_equal([scan.ranges for scan in scans.scans], some)
     assert "in thousands" in caplog.text
     cells = [[f"{v:.3f}".replace(".", ",") for v in row] for row in RANGES]
-    assert loaded(tmp_path, said + table([], cells, ";"))[0].ranges[0] == RANGES[0, 0]
+    assert loaded(tmp_path, VIEW + table([], cells, ";"))[0].ranges[0] == RANGES[0, 0]
 
 
 @pytest.mark.parametrize("how", ["between", "after", "in threes"])
@@ -206,25 +197,27 @@ def test_intensities_without_a_name_are_refused(tmp_path: Path, how: str) -> Non
     rows = {"after": np.hstack((near, many)), "between": np.stack((near, many + 0.5), 2),
             "in threes": np.stack((near, many, 10 * many), 2)}[how].reshape(N, -1)  # fmt: skip
     with pytest.raises(ScanError, match="other numbers, such as intensities, or marks"):
-        loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + table([], rows.tolist()))
+        loaded(tmp_path, VIEW + table([], rows.tolist()))
     names = [f"{word}{k}" for k in range(RAYS) for word in ("range", "intensity")]
     if how == "between":
-        scans = loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + table(names, rows.tolist()))
+        scans = loaded(tmp_path, VIEW + table(names, rows.tolist()))
         np.testing.assert_allclose(scans[0].ranges, near[0])
 
 
 def test_a_count_is_no_range(tmp_path: Path) -> None:
     ranges = np.resize(RANGES, (N, 60))
     text = table([], [[60, ANGLES[0], STEP, *row] for row in ranges])
+    with pytest.raises(ScanError, match="3 lines of one range each, expected a scan a line"):
+        loaded(tmp_path, VIEW + "1.5\n1.6\n1.7\n")
     with pytest.raises(ScanError, match="column 1 is 60 in each line of 63 numbers"):
-        loaded(tmp_path, f"# angle_min=-1, angle_max=1\n{text}")
+        loaded(tmp_path, VIEW + text)
 
 
 def test_columns_of_two_names_are_not_all_ranges(tmp_path: Path) -> None:
     names = [f"{word}{k}" for k in range(RAYS) for word in "ri"]
     text = table(names, [[v for r in row for v in (r, 47)] for row in RANGES])
     with pytest.raises(ScanError, match="columns i0, i1, i2, i3, i4: the other columns are ranges"):
-        loaded(tmp_path, f"# angle_min=-1, angle_max=1\n{text}")
+        loaded(tmp_path, VIEW + text)
 
 
 def test_a_table_of_windows_has_its_degrees(tmp_path: Path) -> None:
@@ -244,13 +237,12 @@ def test_what_is_guessed_of_a_table_is_said(tmp_path: Path, caplog, monkeypatch)
 
 
 def test_ranges_that_rise_are_no_angles_and_no_time(tmp_path: Path) -> None:
-    said = "# angle_min=-1, angle_max=1\n"
     rising = np.linspace(1, 2, RAYS) + np.arange(4)[:, None]
-    assert loaded(tmp_path, said + table([], rising.tolist()))[0].ranges[-1] == 2
+    assert loaded(tmp_path, VIEW + table([], rising.tolist()))[0].ranges[-1] == 2
     smooth = np.stack([[1, 1.02, 1.05], [1.1, 1.04, 1], [1.2, 1.1, 1.3], [1.3, 1.31, 1.2]])
-    assert len(loaded(tmp_path, said + table([], smooth.tolist()))[0].ranges) == 3
+    assert len(loaded(tmp_path, VIEW + table([], smooth.tolist()))[0].ranges) == 3
     few = [[3.1, 5, 6], [3.2, 4, 7]]
-    assert len(loaded(tmp_path, said + table([], few))[0].ranges) == 3
+    assert len(loaded(tmp_path, VIEW + table([], few))[0].ranges) == 3
 
 
 @pytest.mark.parametrize("kind", ["rostopic -p", "ros2 --csv", "a reading a line", "plotjuggler"])
@@ -264,17 +256,6 @@ def test_a_broken_line_of_a_table_is_left_out(tmp_path: Path, kind: str) -> None
     assert N - 2 <= len(scans) <= N
 
 
-def test_tables_go_through_the_command(shared: Path) -> None:
-    cases = shared / "cases"
-    for name in ("11-csv-exports/n_rostopic_p.csv", "11-csv-exports/n2_ros2_csv.csv",
-                 "11-csv-exports/n3_bagpy.csv", "12-time-and-angles-read-as-ranges/"
-                 "n5_first_row_angles.csv"):  # fmt: skip
-        run = call("inspect", cases / name, "--json", "--fov-deg", 180)
-        row = json.loads(run.out)
-        assert (row["scans"], row["rays"]) == (6, 181 if "n5" in name else 360)
-        assert row["stamps"]["seconds"] == pytest.approx(1.0)
-
-
 def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="angles: missing, expected a first line '# angle_min="):
         loaded(tmp_path, table([], RANGES.tolist()))
@@ -284,19 +265,17 @@ def test_a_table_that_is_not_understood_says_which_columns_would_do(tmp_path: Pa
 
 def test_a_scan_that_passes_0_degrees_is_one_scan(tmp_path: Path) -> None:
     angles = (np.linspace(225, 484, 260) % 360).round(2).tolist()
-    said = "#Angule\tDistance\tQuality\n"
     lines = [[a, 2000 + k, 47] for k, a in enumerate(angles)]
-    (scan,) = loaded(tmp_path, said + table([], lines, " ")).scans
+    (scan,) = loaded(tmp_path, "#Angule\tDistance\tQuality\n" + table([], lines, " ")).scans
     np.testing.assert_allclose(scan.ranges, 2000 + np.arange(260))
     around = [[a % 360 + 0.5 * (a >= 360), 2000] for a in range(720)]
     assert [len(scan.ranges) for scan in loaded(tmp_path, table([], around)).scans] == [360, 360]
 
 
 def test_odometry_may_have_a_yaw_and_units(tmp_path: Path) -> None:
-    said, names = "# angle_min=-1, angle_max=1\n", ["odom_x [mm]", "odom_y_mm", "odom_yaw_deg"]
+    names = ["odom_x [mm]", "odom_y_mm", "odom_yaw_deg"]
     rows = [[1500, -500, 90, *scan] for scan in RANGES]
-    scans = loaded(tmp_path, said + table([*names, *(f"r{k}" for k in range(RAYS))], rows))
-    assert scans.odom is not None
+    scans = loaded(tmp_path, VIEW + table([*names, *(f"r{k}" for k in range(RAYS))], rows))
     np.testing.assert_allclose(scans.odom[0], [1.5, -0.5, np.pi / 2])
 
 
@@ -322,17 +301,14 @@ def test_a_reading_a_line_of_other_people_is_read(tmp_path: Path, form: str) -> 
 
 
 def test_what_people_write_for_nothing(tmp_path: Path) -> None:
-    said = "# angle_min=-1, angle_max=1\n"
     for word in ("NA", "n/a", "#N/A", "None", "k.A.", "-", "1.#QNAN", "-1.#IND", ""):
-        scan = loaded(tmp_path, f"{said}1,2,{word},3\n1,{word},2,3\n")[0]
+        scan = loaded(tmp_path, f"{VIEW}1,2,{word},3\n1,{word},2,3\n")[0]
         assert np.isnan(scan.ranges).tolist() == [False, False, True, False]
-    assert np.isposinf(loaded(tmp_path, f"{said}1,2,∞,1.#INF\n")[0].ranges[2:]).all()
+    assert np.isposinf(loaded(tmp_path, f"{VIEW}1,2,∞,1.#INF\n")[0].ranges[2:]).all()
     with pytest.raises(ScanError, match="got 'far', expected a number; nan, or nothing, stands"):
-        loaded(tmp_path, f"{said}1,far,3\n")
-    broken = (
-        'stamp,angle_min,angle_max,ranges\n5,-1,1,"[1. 2.\n  3. 4.]"\n6,-1,1,"[1. 2.\n 3. 5.]"\n'
-    )
-    assert loaded(tmp_path, broken)[1].ranges.tolist() == [1, 2, 3, 5]
+        loaded(tmp_path, f"{VIEW}1,far,3\n")
+    broken = 'angle_min,angle_max,ranges\n-1,1,"[1. 2.\n  3.]"\n-1,1,"[1. 2.\n 5.]"\n'
+    assert loaded(tmp_path, broken)[1].ranges.tolist() == [1, 2, 5]
     with pytest.raises(ScanError, match="printed shortened"):
         loaded(tmp_path, broken.replace("2.", "..."))
 
@@ -346,9 +322,8 @@ def test_columns_beside_an_angle_are_alike(tmp_path: Path) -> None:
 
 
 def test_a_comma_at_the_end_of_each_line_is_no_ray(tmp_path: Path) -> None:
-    said = "# angle_min=-1, angle_max=1\n"
-    assert len(loaded(tmp_path, f"{said}1,2,3,\n# next\n2,3,4,\n")[0].ranges) == 3
-    assert len(loaded(tmp_path, f"{said}1,2,3,\n2,,4,\n")[0].ranges) == 4
+    assert len(loaded(tmp_path, f"{VIEW}1,2,3,\n# next\n2,3,4,\n")[0].ranges) == 3
+    assert len(loaded(tmp_path, f"{VIEW}1,2,3,\n2,,4,\n")[0].ranges) == 4
 
 
 @pytest.mark.parametrize(("head", "metres"), [
@@ -363,7 +338,7 @@ def test_the_units_of_a_head_win(tmp_path: Path, head: str, metres: float) -> No
     (scan,) = loaded(tmp_path, f"{head}\n" + table([], rows, mark)).scans
     np.testing.assert_allclose(scan.ranges, metres * np.round(951 * RANGES[0]))
     wide = table([f"r{k}_cm" for k in range(RAYS)], RANGES.tolist())
-    (scan, *_) = loaded(tmp_path, "# angle_min=-1, angle_max=1\n" + wide).scans
+    (scan, *_) = loaded(tmp_path, VIEW + wide).scans
     np.testing.assert_allclose(scan.ranges, 0.01 * RANGES[0])
 
 

@@ -136,11 +136,3 @@ def test_one_bad_scan_of_an_array_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_text(json.dumps([*[message(k) for k in range(200)], 5]))
     assert len(load_scans(path)) == 200
-
-
-def test_wrapped_json_goes_through_the_command(shared: Path) -> None:
-    for name, rays in (("o_rosbridge.jsonl", 360), ("r_csm.json", 181)):
-        run = call("inspect", shared / "cases" / "17-json-wrappers" / name, "--json")
-        row = json.loads(run.out)
-        assert (row["scans"], row["rays"]) == (6, rays)
-        assert "odometry-units" not in run.out

@@ -48,7 +48,6 @@ def test_numbers_that_pyyaml_reads_as_strings(written: str, value: float) -> Non
 
 def test_origin_of_string_like_numbers_and_negative_yaw() -> None:
     y = parse(yaml_with("origin", "origin: [-.5, 1e1, -3.5]"))
-    assert y.origin is not None
     assert (y.origin.x, y.origin.y) == (-0.5, 10.0)
     assert y.origin.theta == pytest.approx(-3.5 + 2 * math.pi)
 
