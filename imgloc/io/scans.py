@@ -404,7 +404,7 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
             value = value.reshape(shape, order="F" if fortran else "C")
             arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
         if "ranges" not in arrays:
-            expected = "arrays called ranges, and angles in radians"
+            expected = "ranges among them, and angles in radians"
             raise wrong(f"{name}: ranges", ", ".join(archive.namelist())[:200], expected)
     return arrays
 
