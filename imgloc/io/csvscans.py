@@ -68,14 +68,18 @@ _ROLES = (
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
 _COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
+_BELOW = re.compile(r"[1-9]\d\d([.,]\d+)?")  # a thousand
 _SAMPLE = 10_000  # cells that show how numbers are spelled
 _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
-_LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+")  # how a cell with a list begins
+_LIST = re.compile(
+    r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-n\])])"
+)  # how a cell with a list begins
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
 # How many times as much ranges differ from the next number as from the one after it if others stand
 # between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole
 # numbers beside others the least share that is no chance (0.12 of a log in decimetres).
+_ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a half
 _APART, _WHOLE, _FAR = 4, 0.3, 100.0  # the last in metres, in which other numbers have fractions
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
@@ -113,7 +117,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     lines, body = lines_of(path, other="cp1252"), list[Row]()
     for line, text in lines.numbered:
         where = f"{name}: line {line}"
-        if text.startswith(("#", "//", "% ")):
+        if text.startswith(("#", "//", "% ", "sep=")):
             plain = re.sub(r"(\d),(\d)", r"\1.\2", text)
             said = [(key, value) for key, value in _SETTING.findall(plain) if key in _SETTINGS]
             settings |= {key: setting_of(key, value, f"{where}: {key}") for key, value in said}
@@ -174,15 +178,19 @@ def _pointed(body: list[Row], name: str) -> list[Row]:
     step = 1 + len(body) * len(body[0][1]) // _SAMPLE
     some = [row for _, row in body[::step] if any(map(_SPELLED.match, row))]
     columns = [*itertools.zip_longest(*some, fillvalue="")] if len(some) > 1 else some
-    for mark in ",.'":
-        form = re.compile(rf"[-+]?[1-9]\d?\d?(\{mark}\d{{3}})+")
-        both = list[str]()  # cells of columns with such a mark, and without
-        for column in columns:
+    heads = [role_of(cell)[2] for cell in body[0][1]] if len(some) > 1 else []
+    for mark in ",.' \xa0\u202f":
+        form = re.compile(rf"[-+]?[1-9]\d?\d?(\{mark}\d{{3}})+([.,]\d+)?")
+        both, sure = list[str](), False  # cells of columns with such a mark, and without
+        for column, unit in itertools.zip_longest(columns, heads[: len(columns)]):
             there = [cell for cell in column if mark in cell and _SPELLED.match(cell)]
-            below = [cell for cell in column if re.fullmatch(r"[1-9]\d\d", cell)]
-            both += [*there, *below] if there and below else []
+            below = [cell for cell in column if mark not in cell and _BELOW.fullmatch(cell)]
+            # No laser sees thousandths of a millimetre, nor anything as near as 10 cm alone.
+            mm = unit == _UNITS["mm"] and all(len(cell.partition(mark)[0]) < 3 for cell in there)
+            sure |= bool(there) and (mm or mark not in ",.")
+            both += [*there, *below] if there and (below or sure) else []
         marked = [cell for cell in both if mark in cell]
-        if len({*both} - {*marked}) > 1 and all(map(form.fullmatch, marked)):
+        if (sure or len({*both} - {*marked}) > 1) and all(map(form.fullmatch, marked)):
             _LOG.warning("%s: %s is read as %s, in thousands", name, marked[0],
                          marked[0].replace(mark, ""), extra={"code": "thousands"})  # fmt: skip
             body = [(w, [c.replace(mark, "") if form.fullmatch(c) else c for c in row])
@@ -297,6 +305,9 @@ class _Table:
             ranges = [i for i in range(len(names)) if i not in aside]
             if {"x", "y"} <= by.keys() and all(names[i][:1] == "z" for i in ranges):
                 raise ScanError(f"{self.name}: columns {', '.join(names)}{_POINTS}")
+            if names and not ranges:
+                found = f"columns {', '.join(names[:5])}"
+                raise ScanError(f"{self.name}: {found}, expected columns called angle and range")
             _check_alike([names[i] for i in ranges], self.name)
         used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
         self._parse([*used, *ranges] if names else None, names)
@@ -385,15 +396,19 @@ class _Table:
         if len(table) < 2 or table.shape[1] not in (2, 3):
             return {}
         with np.errstate(invalid="ignore"):  # from infinite to infinite
-            around = np.unwrap(np.arctan2(table[:, 1], table[:, 0]))
-            steps = np.diff(np.column_stack((table, around)), axis=0)
+            around = [np.unwrap(np.arctan2(table[:, k + 1], table[:, k])) for k in (0, -2)]
+            steps = np.diff(np.column_stack((table, *around)), axis=0)
             usual = np.median(steps, axis=0)
-            *even, turns = (2 * np.abs(steps - usual) < np.abs(usual)).mean(axis=0).tolist()
-        if 2 * turns > 1 and turns > max(even):
+            *even, one, other = (2 * np.abs(steps - usual) < np.abs(usual)).mean(axis=0).tolist()
+            onward = (steps * np.sign(usual) > 0).mean(axis=0)
+        if max(0.5, *even[:2]) < one or max(0.5, *even[-2:]) < other:
             raise ScanError(f"{self.name}: its columns{_POINTS}")
         values = [len(np.unique(column)) for column in table.T]
         at = int(np.argmax(even)) if len(table) > _EVEN else 0
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
+        if len(table) > _EVEN and onward[at] < _ONWARD:
+            expected = "angles in their order, or names of the columns"
+            raise ScanError(f"{self.name}: no column rises or falls; expected {expected}")
         if rest[1:] and (2 * even[at] < 1 or 2 * values[rest[1]] > values[rest[0]]):
             return {}
         if at:

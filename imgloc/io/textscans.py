@@ -209,8 +209,7 @@ def _object(entry: object, where: str) -> dict[str, Any]:
     if not isinstance(entry, dict):
         found = f"got {type(entry).__name__}, expected an object with ranges"
         raise ScanError(f"{where}: {found}{_TABLE * isinstance(entry, list)}")
-    lists = [v for v in entry.values() if isinstance(v, list) and v]
-    if "ranges" not in entry and any(isinstance(v[0], dict | list) for v in lists):
+    if "ranges" not in entry:
         raise ScanError(f"{where}: ranges: missing, expected a list of metres{_TABLE}")
     return plain_entry(entry, where)
 
@@ -302,7 +301,9 @@ def _json(text: str, where: str) -> Any:
 
 def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     """The entry with the numbers that JSON cannot write put in."""
-    plain = dict(entry)
+    plain = entry = dict(entry)
+    if isinstance(entry["ranges"], dict):  # of JavaScript's Float32Array
+        entry["ranges"] = list(entry["ranges"].values())
     if isinstance(entry.get("ranges"), list):
         plain["ranges"] = [
             number_of(v or "", f"{where}: ranges[{i}]") if isinstance(v, str | None) else v
