@@ -166,12 +166,11 @@ def fit(features: MapFeatures, scan: LaserScan, options: Options = OPTIONS) -> L
 
 
 def search(
-    scans: Sequence[LaserScan],
-    names: Collection[str],
+    scans: Sequence[LaserScan], names: Collection[str],
     bounds: Callable[[LaserScan], Mapping[str, float]],
     open_map: Callable[[str], AbstractContextManager[Opened | None]],
     advance: Callable[[], object] = lambda: None,
-) -> list[dict[str, Localization]]:
+) -> list[dict[str, Localization]]:  # fmt: skip
     """Locate each scan in the maps that it may be from.
 
     Parameters
@@ -248,12 +247,9 @@ def _more(fits: Sequence[Localization]) -> int:
 
 
 def choose(
-    fits: Mapping[str, Localization],
-    trust: Trust | None = None,
-    *,
-    sure: float = NAMED,
+    fits: Mapping[str, Localization], trust: Trust | None = None, *, sure: float = NAMED,
     ruled_out: int = 0,
-) -> Choice:
+) -> Choice:  # fmt: skip
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.
 
     `fits` has the answer of :func:`fit` for each map by name, at least one. `sure` is the

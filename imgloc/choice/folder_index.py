@@ -84,14 +84,10 @@ def index_of(maps: Mapping[str, MapFeatures]) -> MapIndex:
 
 
 def open_index(
-    maps: Mapping[str, Path],
-    prepare: Callable[[Path], MapFeatures],
-    *,
-    about: str,
-    file: Path | None = None,
-    memory_budget: int | None = None,
+    maps: Mapping[str, Path], prepare: Callable[[Path], MapFeatures], *, about: str,
+    file: Path | None = None, memory_budget: int | None = None,
     advance: Callable[[], object] = lambda: None,
-) -> tuple[MapIndex, dict[str, MapError | ConfigError]]:
+) -> tuple[MapIndex, dict[str, MapError | ConfigError]]:  # fmt: skip
     """Read the index of some maps, and prepare the maps that are missing in it or have changed.
 
     Parameters

@@ -75,14 +75,9 @@ def mosaics(levels: Sequence[Level], turns: Sequence[float]) -> Iterator[Mosaic]
 
 
 def best_fits(
-    tiles: Iterable[Mosaic],
-    xy: FloatArray,
-    count: int,
-    *,
-    theta_step: float,
-    prior: Prior | None = None,
-    threads: int = 1,
-) -> FloatArray:
+    tiles: Iterable[Mosaic], xy: FloatArray, count: int, *, theta_step: float,
+    prior: Prior | None = None, threads: int = 1,
+) -> FloatArray:  # fmt: skip
     """Largest share of a scan, over all poses, that falls on walls of each map: (count,), 0..1.
 
     Parameters

@@ -21,12 +21,9 @@ class Live:
     """The scans of a source, as :func:`imgloc.follow` takes them, and how long each took."""
 
     def __init__(
-        self,
-        source: "Iterator[tuple[float, ScanSet]]",
-        prepared: "Callable[[LaserScan], LaserScan]",
-        *,
-        by_scans: bool = False,
-    ) -> None:
+        self, source: "Iterator[tuple[float, ScanSet]]",
+        prepared: "Callable[[LaserScan], LaserScan]", *, by_scans: bool = False,
+    ) -> None:  # fmt: skip
         self._source, self._prepared, self._begin = source, prepared, 0.0
         self._by_scans = by_scans  # whether the scans alone are to tell the motion
         self._seconds: list[float] = []  # from line in to line out, of each scan

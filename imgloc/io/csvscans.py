@@ -406,11 +406,11 @@ class _Table:
         values = [len(np.unique(column)) for column in table.T]
         at = int(np.argmax(even)) if len(table) > _EVEN else 0
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
+        if rest[1:] and (2 * even[at] < 1 or 2 * values[rest[1]] > values[rest[0]]):
+            return {}
         if len(table) > _EVEN and onward[at] < _ONWARD:
             expected = "angles in their order, or names of the columns"
             raise ScanError(f"{self.name}: no column rises or falls; expected {expected}")
-        if rest[1:] and (2 * even[at] < 1 or 2 * values[rest[1]] > values[rest[0]]):
-            return {}
         if at:
             text = f"column {at + 1} rises or falls evenly: it is taken for the angle"
             _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
