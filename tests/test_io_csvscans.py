@@ -289,7 +289,7 @@ def test_points_are_no_scan(tmp_path: Path, head: list[str]) -> None:
 @pytest.mark.parametrize("form", [
     "angle: {a:.3f}, distance: {r}, intensity: 1008", "stamp:1,angle:{a:.3f},distance(m):{r}",
     "Zeitstempel;Winkel_Grad;Entfernung\n7;{a:.3f};{r}", "ángulo,distancia\n{a:.3f},{r}",
-    "bearing (grad),range\n{g:.3f},{r}", "theta,rho\n{t:.5f},{r}", "sep=;\nphi;r\n{t:.5f};{r}", "// degrees\n{a:.3f},{r},",
+    "bearing (grad),r\n{g:.3f},{r}", "sep=;\ntheta;rho\n{t:.5f};{r}", "// degrees\n{a:.3f},{r},",
 ])  # fmt: skip
 def test_a_reading_a_line_of_other_people_is_read(tmp_path: Path, form: str) -> None:
     *head, line = form.split("\n")

@@ -345,16 +345,18 @@ class _Trial:
     def _refined(self, times: float) -> float:
         """A factor on the ranges that is found again from where it was: one search ends near.
 
-        It is 1 if many scans fit nowhere with it: so it is on a map of another place.
+        It is 1 if many scans fit nowhere with it, or it has moved: so it is on a map of another
+        place. Where most scans have one place with it, it may be.
         """
-        known, answers = self.options.shared, list[Localization]()
+        known, answers, begin = self.options.shared, list[Localization](), times
         for some in (self.tried, range(len(self.scans))):
             shared = replace(known, scale=float(np.clip(times * known.scale, *SCALES)))
             options = replace(self.options, shared=shared)
             answers = [localize(self.features, self.scans[k], options) for k in some]
             times = float(np.median([a.evidence.scale for a in answers])) / known.scale
-        nowhere = sum(answer.verdict == "no-match" for answer in answers)
-        return times if nowhere < _NOWHERE * len(answers) else 1.0
+        counts = Counter(answer.verdict for answer in answers)
+        again = abs(times / begin - 1) <= _NEAR and counts["no-match"] < _NOWHERE * len(answers)
+        return times if again or 2 * counts["unique"] > len(answers) else 1.0
 
     def _other_scale(self) -> float:
         """The factor on the ranges with which a few of the scans are unique; 1 if none is."""

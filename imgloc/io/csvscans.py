@@ -69,17 +69,16 @@ _ROLES = (
 )  # fmt: skip
 _COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
 _BELOW = re.compile(r"[1-9]\d\d([.,]\d+)?")  # a thousand
+_ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a half
 _SAMPLE = 10_000  # cells that show how numbers are spelled
 _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
-_LIST = re.compile(
-    r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-n\])])"
-)  # how a cell with a list begins
+# How a cell with a list begins.
+_LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-n\])])")
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
 # How many times as much ranges differ from the next number as from the one after it if others stand
 # between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole
 # numbers beside others the least share that is no chance (0.12 of a log in decimetres).
-_ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a half
 _APART, _WHOLE, _FAR = 4, 0.3, 100.0  # the last in metres, in which other numbers have fractions
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
@@ -491,7 +490,7 @@ class _Table:
             found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
             how = "its ranges with commas between, or two columns called angle and range"
             raise ScanError(f"{self.name}: {found}, {how}")
-        if not names:
+        if not names and len(ranges) > _MANY:
             self._refuse_between(np.array([row[ranges] for _, row in self.rows[:_MANY]]))
         count, *others = {float(row[ranges[0]]) for _, row in self.rows}
         if names or others or count <= _MANY or not len(ranges) - _ECHO <= count < len(ranges):
@@ -513,7 +512,7 @@ class _Table:
         many = whole[whole >= _FAR] if fine[fine > 0].max(initial=0) < _FAR else whole[:0]
         block = _WHOLE < share < 1 - _WHOLE and len(np.unique(whole)) > _EVEN
         block |= share < 1 - _WHOLE and len(np.unique(many)) > 2
-        if block or near > max(_APART * min(far), _LIKE * _median(seen)):
+        if block or math.inf > near > max(_APART * min(far), _LIKE * _median(seen)):
             found = "other numbers, such as intensities, or marks of thousands are in the ranges"
             expected = "ranges as 1234.5, or a first line of names: range0,intensity0,range1 ..."
             raise ScanError(f"{self.name}: {found}; expected {expected}")
@@ -588,7 +587,7 @@ def _stamp_of(row: FloatArray, by: Mapping[str, int], roles: Sequence[Role]) -> 
 
 def _median(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) > 2 * _EVEN else 0.0
+    return float(np.median(known)) if len(known) > 2 * _EVEN else math.inf
 
 
 def _head(
