@@ -27,9 +27,9 @@ Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
 # Nats per reading; where the best pose lacks less, several places fit as they are.
 _FITS: float = number("diagnose.fits")
-# By how much the scales of scans differ that share one, what it differs from 1 at least, and the
-# share of the scans that fit nowhere with it at most.
-_NEAR, _SLIP, _NOWHERE = number("diagnose.scales")
+# By how much the scales of scans differ that share one, what it differs from 1 at least, the share
+# of the scans that fit nowhere with it at most, and how near to its bound it may not be known.
+_NEAR, _SLIP, _NOWHERE, _BOUND = number("diagnose.scales")
 # doubtful scans that are looked at in another way, and views that sensors have, radians
 _TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
@@ -356,6 +356,8 @@ class _Trial:
             times = float(np.median([a.evidence.scale for a in answers])) / known.scale
         counts = Counter(answer.verdict for answer in answers)
         again = abs(times / begin - 1) <= _NEAR and counts["no-match"] < _NOWHERE * len(answers)
+        most = self.options.fused.most_scaled
+        again &= 1 / most + _BOUND < times < most - _BOUND
         return times if again or 2 * counts["unique"] > len(answers) else 1.0
 
     def _other_scale(self) -> float:
