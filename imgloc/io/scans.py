@@ -322,7 +322,8 @@ def _kind_of(path: PathLike) -> _Kind:
             if re.match(pattern, head, re.MULTILINE):
                 return kind
     found = "no known scan format" if told else f"ending {display(ending)!r} is no scan format"
-    raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)} or a table of numbers")
+    table = "a table of numbers, such as lines 90.0,1230 below one of angle_deg,distance_mm"
+    raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)} or {table}")
 
 
 def why_no_scans(path: PathLike) -> str:
