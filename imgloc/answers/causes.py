@@ -109,7 +109,7 @@ _warns, _look = partial(Cause, "", serious=False), partial(Cause, "", found=Fals
 _SCALED, _UPSIDE_DOWN = "`range_scale={factor:g}`", "`flipped=True`"
 _CELLS, _SCANS = "`resolution={cells:.4g}`", "`odom=scans`"
 AGREE = "scans and odometry agree only "
-_RAY_BY_RAY = "imgloc localize MAP SCANS `index=N` `explain=why.html` shows one ray by ray"
+RAY_BY_RAY = "imgloc localize MAP SCANS `index=N` `explain=why.html` shows one ray by ray"
 _ONCE_FOR_ALL = (
     "imgloc calibrate MAP --scans FILE finds it once for all from five scans or more, which is "
     "faster and surer"
@@ -209,11 +209,11 @@ CAUSES: Mapping[str, Cause] = MappingProxyType({
     "plan": _wrong("the map: " + DRAWN, "", "the map looks like a drawing: imgloc map plan"),
     "old": _look("{none} not fit this map well, but they agree about the way between them, and "
                  "{share:.0%} of their rays fit there: the map may be old. " + _WHERE + "; "
-                 + _RAY_BY_RAY, short=OLD),
+                 + RAY_BY_RAY, short=OLD),
     "old/followed": _look("most scans do not fit this map by themselves, but {share:.0%} have a "
                           "unique pose along the way: the map may be old. " + _WHERE, short=OLD),
     "map": _look("{none} not fit this map{also}: is it the map of this place? imgloc which FOLDER "
-                 "SCANS compares the maps of a folder; " + _RAY_BY_RAY,
+                 "SCANS compares the maps of a folder; " + RAY_BY_RAY,
                  short="another map? see imgloc which, imgloc map check"),
     "old/walls": _look("scans at sure poses pass {share:.0%} of the walls in view: the map is old, "
                        "has a wrong resolution, or is of another place. " + _WHERE, short=OLD,

@@ -200,12 +200,13 @@ class _Sink:
         image.save(path, force=self.force)
 
     def _explain(self, run: "Locating", answer: "Located", path: Path) -> None:
+        from imgloc.answers.causes import RAY_BY_RAY
         from imgloc.answers.explain import explain
         from imgloc.output.pages import render_explanation
 
         reason = explain(run.features, answer.scan, answer.of, run.options)
         title = f"{Path(run.taken.name).name}, scan {answer.index}, on {run.map_name}"
-        hints = [as_options(hint.said) for hint in self.hints]
+        hints = [as_options(h.said.replace(f"; {RAY_BY_RAY}", "")) for h in self.hints]
         html = render_explanation(reason, title, truth=answer.truth, hints=hints)
         write_text_atomic(path, html, force=self.force)
 

@@ -171,13 +171,13 @@ def draw_hypotheses(
     poses = [h.pose for h in hypotheses]
     every = poses if truth is None else [*poses, truth]
     canvas = map_canvas(grid, building(grid, every))
-    names = [f"{k} {'█' * round(12 * h.mass):12} {100 * h.mass:5.1f} %"
+    names = [f"{k:<2} {'█' * round(12 * h.mass):12} {100 * h.mass:5.1f} %"
              for k, h in enumerate(hypotheses, 1)]  # fmt: skip
     marks = [(colour, ROBOT) for _, colour in shown]
     if truth is not None:
-        names, marks = [*names, f"{'true pose':22}"], [*marks, (INK, "x")]
+        names, marks = [*names, f"{'true pose':23}"], [*marks, (INK, "x")]
     xyt = np.array([(p.x, p.y, p.theta) for p in every]).reshape(-1, 3)
-    head = f"{'mass':>22} {'x / m':>9} {'y / m':>9} {'theta / deg':>12}"
+    head = f"{'mass':>23} {'x / m':>9} {'y / m':>9} {'theta / deg':>12}"
     entries: list[Entry] = [(PAPER, "", head)] if every else []
     for mark, name, (x, y, theta) in zip(
         marks, names, transform_poses(grid.origin, xyt).tolist(), strict=True
