@@ -232,13 +232,13 @@ def _unpacked(body: list[Row]) -> list[Row]:
     """
     few = [row[: len(body[0][1])] for _, row in body[1:3]]
     lists = {i for row in few for i, cell in enumerate(row) if _LIST.match(cell)}
-    if not lists:
-        return body
     (where, names), rows = body[0], list[Row]()
-    kept = [i for i in range(len(names)) if i not in lists]
     at = next((i for i in lists if role_of(f"{names[i]}0")[0] == "ranges"), -1)
+    if at < 0:
+        return body
+    kept = [i for i in range(len(names)) if i not in lists]
     for line, row in body[1:]:
-        whole = len(row) == len(names) and at >= 0 and row[at].endswith((")", "]"))
+        whole = len(row) == len(names) and row[at].endswith((")", "]"))
         cells = _LIST.sub("", row[at]).strip(")] ").replace(",", " ").split() if whole else []
         rows.append((line, [*(row[i] for i in kept), *cells] if whole else []))
     widest = max(len(row) for _, row in rows) - len(kept)
@@ -317,7 +317,7 @@ class _Table:
             if self._turns(fov):
                 return self._columns(0, 1.0)
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
-            by["time"], ranges = times[0], [i for i in ranges if i not in times]
+            by["time"], ranges = times[0], [i for i in ranges if i not in times] or ranges
             roles = [("time", 0, 1.0)] * len(self.rows[0][1])
         self._refuse_counts(ranges, names)
         places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
