@@ -257,7 +257,8 @@ def test_the_far_part_of_a_scan_sees_past_those_who_stand_before_a_wall():
     seen = Readings(np.where(stand, 0.5, walls), angles)
     far, left, right = (np.isin(part.angles, angles[stand]) for part in seen.parts())
     assert not far.any()
-    assert left.mean() > 0.5 and right.mean() > 0.5
+    assert left.mean() > 0.5
+    assert right.mean() > 0.5
     assert len(far) == pytest.approx(len(angles) / 3, abs=1)
     # A neighbourhood goes on over the first angle.
     turned = Readings(seen.ranges, angles + np.pi / 7).parts()[0]
