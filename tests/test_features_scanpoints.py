@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imgloc.features.scanpoints import evenly, one_per_place, scan_points
+from imgloc.features.scanpoints import Readings, evenly, one_per_place, scan_points
 from imgloc.geometry import wrap
 from imgloc.model import LaserScan
 
@@ -247,6 +247,24 @@ def test_a_place_is_one_reading_however_many_rays_saw_it():
     about = LaserScan(np.full(4, 0.05), np.deg2rad([45, 135, 225, 315]), range_max=9.0)
     assert len(one_per_place(about, 0.1)) == 4
     assert np.all(np.diff(one_per_place(about, 0.1).angles) > 0)
+
+
+def test_the_far_part_of_a_scan_sees_past_those_who_stand_before_a_wall():
+    """People hold more than half of the readings, and the wall behind them is all around."""
+    angles = np.deg2rad(np.arange(-180, 180, 2.0))
+    walls = box(angles, 3.0, 2.0)[0]
+    stand = np.arange(len(angles)) % 9 < 5  # 10 of every 18 degrees
+    seen = Readings(np.where(stand, 0.5, walls), angles)
+    far, left, right = (np.isin(part.angles, angles[stand]) for part in seen.parts())
+    assert not far.any()
+    assert left.mean() > 0.5
+    assert right.mean() > 0.5
+    assert len(far) == pytest.approx(len(angles) / 3, abs=1)
+    # A neighbourhood goes on over the first angle.
+    turned = Readings(seen.ranges, angles + np.pi / 7).parts()[0]
+    assert turned.ranges.tolist() == seen.parts()[0].ranges.tolist()
+    edge = Readings(np.array([1.0, 9.0, 1.0, 2.0]), np.deg2rad([-179.0, 0.0, 90.0, 179.0]))
+    assert edge.parts()[0].ranges.tolist() == [9.0, 1.0]
 
 
 def test_only_valid_readings_have_a_place():

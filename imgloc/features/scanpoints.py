@@ -1,11 +1,13 @@
 """The points of a scan, and their normals (Fig. 3) by regression over neighbouring rays."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, OrientedPoints
+from imgloc.numbers import number
 
 # A wall is followed up to this angle between ray and wall (Borges & Aldon 2004, breakpoints).
 GRAZING = np.deg2rad(10.0)
@@ -18,6 +20,9 @@ _MIN_NEIGHBOURS = 3
 # ray; never fewer than so many neighbours on either side unless the surface ends there.
 _SIGMA, _WIDTH = 0.02, 0.25
 SURE = np.pi / 6  # radians: normals that are less certain are marked invalid
+# Radians to either side whose readings are a reading's neighbourhood, and the share of the readings
+# that is far for its own.
+_BESIDE, _FAR_SHARE = number("scanpoints.far")
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
 
@@ -133,19 +138,24 @@ class Readings:
         return replace(self._select(evenly(len(self), n)), silent=silent)
 
     def parts(self) -> "tuple[Readings, Readings, Readings]":
-        """The half that is farther away, and the two halves of the view.
+        """The third that is far for its neighbourhood, and the two halves of the view.
 
-        A thing that is not on the map, such as a cart or a crowd, hardly holds all three.
+        A thing that is not on the map, such as a cart or a crowd, hardly holds all three: a person
+        stands before a wall, which is seen beside him.
 
         Examples
         --------
-        >>> readings = Readings(np.array([1.0, 4.0, 3.0, 2.0]), np.array([0.0, 0.1, 0.2, 0.3]))
+        >>> readings = Readings(np.array([5.0, 1.0, 4.0, 9.0]), np.array([0.0, 0.1, 0.2, 1.0]))
         >>> [part.ranges.tolist() for part in readings.parts()]
-        [[4.0, 3.0], [1.0, 4.0], [3.0, 2.0]]
+        [[5.0, 9.0], [5.0, 1.0], [4.0, 9.0]]
         """
+        turn = np.concatenate([self.angles + turn for turn in (-math.tau, 0, math.tau)])
+        ends = np.searchsorted(turn, self.angles[:, None] + (-_BESIDE, _BESIDE))
+        beside = np.maximum.reduceat(np.append(np.tile(self.ranges, 3), 0), ends.ravel())[::2]
+        far = np.argsort(-self.ranges / beside, kind="stable")
+        third = np.sort(far[: math.ceil(_FAR_SHARE * len(self))])
         half, each = -(-len(self) // 2), np.arange(len(self))
-        far = np.sort(np.argsort(-self.ranges, kind="stable")[:half])
-        return self._select(far), self._select(each[:half]), self._select(each[half:])
+        return self._select(third), self._select(each[:half]), self._select(each[half:])
 
     def _select(self, pick: IntArray) -> "Readings":
         return Readings(self.ranges[pick], self.angles[pick], self.silent)

@@ -28,8 +28,8 @@ PICTURES = ("none", "doubtful", "all")
 LOCATING = frozenset({
     "Bending", "Calibration", "EvidenceModel", "FusedOptions", "Trust", "adapt", "background",
     "beam", "covariance", "distance", "faces", "floor", "messages", "odometry", "options",
-    "pipeline", "priors", "proposals", "protection", "refine", "rescore", "trust",
-    "truth", "weigh",
+    "pipeline", "priors", "proposals", "protection", "refine", "rescore",
+    "scanpoints", "trust", "truth", "weigh",
 })  # fmt: skip
 """Families of :mod:`imgloc.numbers` that decide where a scan is."""
 

@@ -20,7 +20,9 @@ from imgloc.simulation.worlds import WORLDS, render
 
 DISTURBED = ("nan", "empty", "short", "zero", "unstamped", "ahead")
 """What every other scan may be instead of itself."""
-_AHEAD = 5  # seconds that a scan and its odometry may be stamped ahead
+# Seconds that a scan and its odometry may be stamped ahead, and by how many fewer the next one:
+# two in a row are no clock that is ahead, even if the scan between them is lost.
+_AHEAD, _FEWER = 3600, 2
 FROZEN = ("stamp", "ranges")
 """What each scan may have of the first one: its stamp and ranges, or its ranges alone."""
 
@@ -149,7 +151,7 @@ class Player:
             publisher, kind = self._clock
             publisher.publish(fill(kind(), {"clock": at}))
         if wrong == "ahead":
-            at["sec"] += _AHEAD
+            at["sec"] += _AHEAD - _FEWER * k
         if odom is not None:
             message = fill(self._ros.nav_msgs.Odometry(), {"child_frame_id": "base_link"})
             fill(message, {"header": {"stamp": at, "frame_id": "odom"}})
