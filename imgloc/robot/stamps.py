@@ -37,7 +37,7 @@ class Heard:
 class Stamps:
     """Judges each stamp by those before: a leap counts once stamps have stayed there for `LEAP`.
 
-    If every other stamp leaps and a good one between two is lost, the leap is an error all the same.
+    If every other stamp leaps, and a good one between two is lost, the leap is still an error.
 
     Parameters
     ----------
@@ -70,13 +70,12 @@ class Stamps:
         (to, first, last), self._leapt = self._leapt, (FINE, math.nan, math.nan)
         if math.isnan(stamp):
             return FINE
-        judged = FINE
         if stamp < self.latest - LEAP:
             judged = OLD
         elif stamp < self.latest or (stamp == self.latest and not self._shared):
             return OLD
-        elif stamp > now + LEAP and stamp > self.latest + LEAP:
-            judged = AHEAD
+        else:
+            judged = AHEAD if stamp > now + LEAP and stamp > self.latest + LEAP else FINE
         if judged != FINE:
             begun = first if judged == to and stamp >= last else stamp
             self._leapt = judged, begun, stamp
