@@ -95,8 +95,8 @@ class TrackerOptions(Checked):
     #: metres for which a component must be followed before it is ``unique``: the first one, and one
     #: that replaces another
     sure: tuple[Metres, Metres] = number("TrackerOptions.sure")
-    #: scans in a row that must leave a component the mass to be ``unique``, and readings that a
-    #: scan needs to count
+    #: scans in a row that must leave a component the mass to be ``unique``, and readings that each
+    #: needs. After the first one a scan is weighed once more than `least` of its evidence is new.
     agree: tuple[Count, Count] = number("TrackerOptions.agree")
     #: scans in a row that must agree if the last ``unique`` pose was at another place, because a
     #: building that repeats fits for some metres at the wrong bay
@@ -149,7 +149,8 @@ class TrackerOptions(Checked):
     #: place fits for some metres now and then.
     explained: tuple[Metres, Share] = number("TrackerOptions.explained")
     #: a scan that agrees with no place alone is explained if the probability of being lost, and the
-    #: nats that each reading lacks at the best place, are less than these
+    #: nats that each reading lacks at the best place, are less than these; walls as drawn also
+    #: explain one that lacks more, where a building on no map explains it worse
     fits: tuple[Share, Nats] = number("TrackerOptions.fits")
 
 
@@ -252,10 +253,8 @@ class Tracker:
         """The options with an error that all readings share, and the trust that goes with it."""
         if not shared.bent:
             return replace(options, shared=shared)
-        base, strain = self.how.readings[:2]
-        trust = replace(
-            options.trust, temperature=base, strain=strain, elsewhere=self.how.readings[2:]
-        )
+        how = self.how.readings
+        trust = replace(options.trust, temperature=how[0], strain=how[1], elsewhere=how[2:])
         return replace(options, shared=shared, trust=trust)
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
@@ -334,9 +333,10 @@ class Tracker:
         seen = usable(scan, self.options)
         if seen is None or not len(self._poses):
             return False
-        if self._dark and self._agreed < self.how.agree[0]:
-            return True  # after darkness scans have to agree again, even if the robot stands still
         laser, view = self._lasers.of(seen), view_of(seen, self.options)
+        due = self._dark or (self._agreed > 0 and self._fresh(laser) > self.how.least)
+        if due and self._agreed < self.how.agree[0]:
+            return True  # scans have to agree, after darkness even if the robot stands still
         near = self._unsurprised(view, laser)
         if near is None or self._lost > self.how.known:
             return True
@@ -344,7 +344,7 @@ class Tracker:
         if len(view.readings) >= self.how.agree[1] and laser.last <= self._strange(laser):
             best = slice(int(np.argmax(self._mass)), int(np.argmax(self._mass)) + 1)
             one = sight(self.features, view, near, self.options)
-            if one.gained > 0:  # else a building on no map explains it as well
+            if self._mapped(one.gained):  # else a building on no map explains it as well
                 self._correct(best, near, self._noise(one), self._fresh(laser))
                 self._since = 0.0
         self._remember()
@@ -440,7 +440,7 @@ class Tracker:
             laser.doubted = leader > self._strange(laser)
         # What a building on no map explains as well corrects no pose, and agrees with none.
         fit, gained = log[at] - cost, seen.gained - (log.max() - log[at])
-        mapped = bool((gained[np.argmax(self._mass)] if known else seen.gained) > 0)
+        mapped = bool(self._mapped(gained[np.argmax(self._mass)] if known else seen.gained))
         elsewhere = ~self._same(poses[2 * known :, None], poses[: 2 * known]).any(axis=1)
         best = max(fit.max(initial=-np.inf), log[2 * known :][elsewhere].max(initial=-np.inf))
         gain = np.maximum((fit - best) * new, -how.drop)
@@ -455,13 +455,12 @@ class Tracker:
             odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
-        # On bent walls such a building explains nearly as much as the true place.
-        self._settle(seen, at, laser, (gained > 0) | (self.options.shared.bent > 0))
+        self._settle(seen, at, laser, self._mapped(gained))
         self._normalise()
         self._bear(seen, 2 * known, new)
         self._tidy()
         self._agree(view, laser, mapped)
-        self._judge_map(self._explains(laser))
+        self._judge_map(self._explains(laser, mapped))
         self._remember()
 
     def _agree(self, view: View, laser: Laser, mapped: bool) -> None:
@@ -541,11 +540,19 @@ class Tracker:
         self._begin_again()
         return True
 
-    def _explains(self, laser: Laser) -> bool:
-        """Return whether the map explains the last scan: at one place or at several."""
+    def _mapped(self, gained: FloatArray | float) -> BoolArray:
+        """Return whether scans that gain so many nats on the map are rather of it than of none."""
+        constant, per_nat, _ = self.options.trust.elsewhere
+        return np.asarray(constant + per_nat * gained < 0)
+
+    def _explains(self, laser: Laser, mapped: bool) -> bool:
+        """Return whether the map explains the last scan: at one place or at several.
+
+        `mapped` is as in :meth:`_agree`; on bent walls it says too little.
+        """
         lost, misfit = self.how.fits
-        fits = self._lost < lost and laser.last < misfit
-        return (self._agreed > 0 or fits) and not self._lasers.doubted
+        fits = laser.last < misfit or (mapped and not self.options.shared.bent)
+        return (self._agreed > 0 or (self._lost < lost and fits)) and not self._lasers.doubted
 
     def _judge_map(self, agrees: bool) -> None:
         """Average over the way, and nothing before it, whether scans agree with one place."""
