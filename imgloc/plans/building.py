@@ -95,8 +95,7 @@ class FloorPlan:
     other_area: float = 0.0
     rooms: int | None = None  #: with closed doors, if the drawing tells which are doors
     scale: tuple[float, str] = (0.0, "")  #: metres a unit of the drawing, and how that was found
-    guessed: bool = False  #: no name of a layer told which lines of the drawing are walls
-    lost_doors: int = 0  #: doors of the drawing that are in none of its maps
+    signs: tuple[str, ...] = ()  #: what a drawing tells against its map, the worst first
 
     @property
     def free_area(self) -> float:
@@ -170,13 +169,8 @@ class FloorPlan:
              f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
              f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "
              "without a door, as the two lines of a wall do, its hatching, or furniture"),
-            (self.lost_doors > 0,
-             f"{cut}: leaves of doors outside of what was found: {self.lost_doors}"),
-            (self.guessed,
-             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
-             "names the layers"),
         )  # fmt: skip
-        what = next((text for sign, text in signs if sign), "")
+        what = next((text for sign, text in signs if sign), "".join(self.signs[:1]))
         return what and (
             f"{what}. Look at `picture`; a larger `thickest` is for walls drawn as two lines, a "
             "larger `gap` for wide doors; crop frames, titles and legends; is the resolution right?"
