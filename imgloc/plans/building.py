@@ -49,7 +49,7 @@ PIECE: float = number("floorplan.piece")  #: metres that a wall is long at least
 # Without a doubt: least share of the drawing that is free, greatest share of the ink that is
 # outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
 DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
-_OPEN: float = number("floorplan.open")
+_OPEN: tuple[float, float] = number("floorplan.open")
 OTHER: float = number("floorplan.other")
 _HOLLOW = 2**0.5 * THICKEST[-1]  # metres: across where two of the thickest walls cross
 _ROW = (
@@ -159,16 +159,16 @@ class FloorPlan:
             (self.framed_area > 0,
              f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as the "
              "frame of a sheet does"),
-            (self.largest_share < _OPEN,
-             "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
-             f"closed: no part without a wall across it has more than {self.largest_share:.0%} of "
-             "the free area"),
             (not self.scale[1] and self.roomless_share > DOUBT[3],
              f"{cut}: {self.roomless_share:.0%} of the walls have no room beside them"),
             (self.gaps_share > DOUBT[2],
              f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
              f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "
              "without a door, as the two lines of a wall do, its hatching, or furniture"),
+            (self.largest_share < _OPEN[bool(self.scale[1])],
+             "its walls were most likely misread, or its doors are drawn closed, or it is no plan, "
+             f"but a table or a grid: no part without a wall across it has more than {self.largest_share:.0%} of "
+             "the free area"),
         )  # fmt: skip
         what = next((text for sign, text in signs if sign), "".join(self.signs[:1]))
         return what and (
