@@ -167,8 +167,8 @@ class FloorPlan:
              "without a door, as the two lines of a wall do, its hatching, or furniture"),
             (self.largest_share < _OPEN[bool(self.scale[1])],
              "its walls were most likely misread, or its doors are drawn closed, or it is no plan, "
-             f"but a table or a grid: no part without a wall across it has more than {self.largest_share:.0%} of "
-             "the free area"),
+             "but a table or a grid: no part without a wall across it has more than "
+             f"{self.largest_share:.0%} of the free area"),
         )  # fmt: skip
         what = next((text for sign, text in signs if sign), "".join(self.signs[:1]))
         return what and (
@@ -277,17 +277,11 @@ def finished(
     _, _, wide, tall = cv2.boundingRect(walls.astype(np.uint8))
     solid = walls if more is None else walls | more
     return FloorPlan(
-        grid=_as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden, movable),
-        kinds=kinds,
-        pixel=pixel,
-        size=(wide * pixel, tall * pixel),
-        walls=len(masks.pieces(walls)[1]) - 1,
-        length=len(through) * pixel,
-        thickness=(low, median, high),
-        doors=tuple(sorted(doors)),
-        removed=_counted(kinds, len(doors), pixel),
-        **found,
-    )
+        _as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden, movable),
+        kinds, pixel, (wide * pixel, tall * pixel), len(masks.pieces(walls)[1]) - 1,
+        len(through) * pixel, (low, median, high), tuple(sorted(doors)),
+        _counted(kinds, len(doors), pixel), **found,
+    )  # fmt: skip
 
 
 def _as_grid(

@@ -26,12 +26,9 @@ from imgloc.plans.doors import LEAVES, Door, dense, doors_of
 from imgloc.plans.vectors import NAMES, Drawing, Stroke
 
 _KIND = {
-    "": Kind.LINE,
-    "note": Kind.TEXT,
-    "stairs": Kind.HATCH,
-    "thing": Kind.SYMBOL,
+    "": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
     "door": Kind.SWING,
-}
+}  # fmt: skip
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
 _SIZES = (3.0, 1000.0)  # metres that a floor may be long
 _ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
@@ -324,8 +321,7 @@ class Floor:
             turns *= d.width / np.hypot(*turns.T).clip(1e-9 * d.width)[:, None]
             spots = d.hinge + np.outer((0.3, 0.5, 0.7, 0.85), turns).reshape(-1, 2)
             on = np.array([self.sheet.at(spot, walls, self.sheet.pixel) for spot in spots])
-            on = on.reshape(4, 6)
-            count += bool(on[:, 0].mean() > 0.5 or on[:, 2:].mean() > 0.1)
+            count += bool(on[::6].mean() > 0.5 or on.reshape(4, 6)[:, 2:].mean() > 0.1)
         return count
 
 

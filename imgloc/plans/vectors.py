@@ -24,10 +24,12 @@ _LINES = 3_000_000  # of a DXF as text, which takes half a minute; a large floor
 _DEEP = 24  # blocks within blocks
 _FAR = 1e10  # units from the zero point: nothing that is built is farther away
 _FINE = 0.003  # of its size, that a line may stay away from its curve
-#: metres of the units of a DXF, by the number in its header
-UNITS = {1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 10: 0.9144, 14: 0.1, 21: 0.3048}
-NAMES = {0.0254: "inches", 0.3048: "feet", 0.001: "mm", 0.01: "cm", 1.0: "m", 0.1: "dm",
-         0.9144: "yards"}  # fmt: skip
+#: metres of the units of a DXF and their names, by the number in its header
+UNITS = {
+    1: (0.0254, "inches"), 2: (0.3048, "feet"), 4: (0.001, "mm"), 5: (0.01, "cm"), 6: (1.0, "m"),
+    10: (0.9144, "yards"), 14: (0.1, "dm"), 21: (0.3048, "feet"),
+}  # fmt: skip
+NAMES = dict(UNITS.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ def _dxf(data: bytes) -> Drawing:
         raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
     others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
     unit = UNITS.get(document.header.get("$INSUNITS", 0))
-    return Drawing(strokes, ((unit, NAMES[unit]),) if unit in NAMES else (), missing=tuple(others))
+    return Drawing(strokes, (unit,) if unit else (), missing=tuple(others))
 
 
 def _unfolded(document: Any) -> Iterator[Stroke]:
@@ -146,7 +148,7 @@ def _unfolded(document: Any) -> Iterator[Stroke]:
                 (e, layer, line, (*blocks, block)) for c in copies for e in c.virtual_entities()
             ]
         elif kind in ("MLINE", "ACAD_PROXY_ENTITY") or (
-            kind == "POLYLINE" and entity.is_poly_face_mesh
+            kind == "POLYLINE" and not (entity.is_2d_polyline or entity.is_3d_polyline)
         ):
             waiting += [(e, layer, line, blocks) for e in entity.virtual_entities()]
         else:
@@ -185,10 +187,8 @@ def _traced(entity: Any, kind: str) -> Iterator[tuple[FloatArray, bool, float]]:
         if kind == "LWPOLYLINE":
             widths = [w for pair in entity.get_points("se") for w in pair]
             wide = max(entity.dxf.get("const_width", 0.0), *widths, 0.0)
-        elif kind == "POLYLINE" and entity.is_2d_polyline:
+        elif kind == "POLYLINE":
             wide = entity.dxf.get("default_start_width", 0.0)
-        elif kind == "POLYLINE" and not entity.is_3d_polyline:
-            return
         yield _flat(path.make_path(entity)), False, float(wide)
 
 
@@ -255,7 +255,7 @@ def _svg(data: bytes) -> Drawing:
                 name = next((v for k, v in e.items() if k.endswith("href")), "").lstrip("#")
                 if name in path or len(path) >= _DEEP:
                     raise MapError(f"the element {name[:40]} is part of itself")
-                place = Matrix(f"translate({_number(e, 'x')},{_number(e, 'y')})")
+                place = Matrix(f"translate({e.get('x', 0)},{e.get('y', 0)})")
                 if name in known:
                     waiting.append((known[name], place * matrix, layer, style, (*path, name)))
                 continue
@@ -297,11 +297,6 @@ def _styles(sheet: str) -> dict[str, dict[str, str]]:
 def _rules(text: str) -> dict[str, str]:
     """Properties in a style, by their names."""
     return dict(re.findall(r"([\w-]+)\s*:\s*([^;]*[^;\s])", text))
-
-
-def _number(e: Any, key: str) -> float:
-    found = re.match(r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?", e.get(key, ""))
-    return float(found[0]) if found else 0.0
 
 
 def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) -> Iterator[Stroke]:
