@@ -127,12 +127,9 @@ def check_count(count: int, step: float) -> None:
 
 
 def simulate_at(
-    grid: OccupancyGrid,
-    poses: FloatArray,
-    sensor: Sensor,
-    seed: int,
+    grid: OccupancyGrid, poses: FloatArray, sensor: Sensor, seed: int,
     fine: OccupancyGrid | None = None,
-) -> list[tuple[Pose2D, LaserScan]]:
+) -> list[tuple[Pose2D, LaserScan]]:  # fmt: skip
     """Simulate a scan at each pose (N, 3), grid frame.
 
     Rays are cast in `fine`, by default the map redrawn with cells of 1 cm.
@@ -156,26 +153,18 @@ def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:
     for spot in spots:
         places.setdefault((spot.pose.x, spot.pose.y), []).append(spot.kind == "unique")
     return {
-        "poses": len(spots),
-        "places": len(places),
-        "area": len(places) * step**2,
+        "poses": len(spots), "places": len(places), "area": len(places) * step**2,
         **{kind: vars(share(spot.kind == kind for spot in spots)) for kind in KINDS},
         "unique_area": vars(share(all(flags) for flags in places.values())),
         "bound": float(np.median([spot.bound for spot in spots] or [np.nan])),
         "free": vars(share(spot.bound == np.inf for spot in spots)),
-    }
+    }  # fmt: skip
 
 
 def survey_part(
-    features: MapFeatures,
-    scan: LaserScan,
-    options: Options,
-    *,
-    step: float,
-    headings: int,
-    start: int = 0,
-    seconds: float = 0.5,
-) -> dict[str, Any]:
+    features: MapFeatures, scan: LaserScan, options: Options, *, step: float, headings: int,
+    start: int = 0, seconds: float = 0.5,
+) -> dict[str, Any]:  # fmt: skip
     """Survey a map with the laser of a scan for some seconds: a part of its atlas.
 
     Parameters
@@ -237,13 +226,9 @@ def survey_part(
 
 
 def survey(
-    grid: OccupancyGrid,
-    scans: Sequence[tuple[Pose2D, LaserScan]],
-    options: Options,
-    *,
-    sigma: float = Sensor().sigma,
-    workers: int = 1,
-) -> Iterator[Spot]:
+    grid: OccupancyGrid, scans: Sequence[tuple[Pose2D, LaserScan]], options: Options, *,
+    sigma: float = Sensor().sigma, workers: int = 1,
+) -> Iterator[Spot]:  # fmt: skip
     """Locate scan after scan, and compare each with its true pose; yield the spots in that order.
 
     Poses are the sensor's in the grid frame. The noise `sigma` of the ranges, metres, gives the

@@ -109,12 +109,9 @@ def _displaced(scan: LaserScan, rng: np.random.Generator) -> LaserScan:
 
 
 def sweep(
-    features: MapFeatures,
-    scans: ScanSet,
-    options: Options,
-    *,
+    features: MapFeatures, scans: ScanSet, options: Options, *,
     advance: Callable[[], None] = lambda: None,
-) -> Sweep:
+) -> Sweep:  # fmt: skip
     """Measure every smoothing and temperature on scans whose poses are known.
 
     The method is one of the paper's. For ``beam`` only the temperature is measured, because it has
@@ -220,12 +217,9 @@ class SharedFit:
 
 
 def fit_shared(
-    features: MapFeatures,
-    scans: Sequence[LaserScan],
-    options: Options | None = None,
-    *,
+    features: MapFeatures, scans: Sequence[LaserScan], options: Options | None = None, *,
     advance: Callable[[], None] = lambda: None,
-) -> SharedFit:
+) -> SharedFit:  # fmt: skip
     """Fit the scale of a map, by how much its walls are too thick, and their depth, from scans.
 
     The poses of the scans need not be known (hard EM). Some evenly picked scans are each placed
@@ -276,12 +270,9 @@ def fit_shared(
 
 
 def fit_along(
-    features: MapFeatures,
-    logs: Sequence[ScanSet],
-    options: Options | None = None,
-    *,
+    features: MapFeatures, logs: Sequence[ScanSet], options: Options | None = None, *,
     advance: Callable[[], None] = lambda: None,
-) -> SharedFit:
+) -> SharedFit:  # fmt: skip
     """Fit the walls of a map that others drew from scans that odometry joins.
 
     No scan needs to fit the map by itself. Evenly picked scans show together whether the walls are

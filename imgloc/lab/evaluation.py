@@ -173,12 +173,9 @@ class Evaluation:
     def as_row(self, name: str, source: Mapping[str, object]) -> dict[str, Any]:
         """The row of a map, called `name`, as `imgloc evaluate --json` writes it."""
         return {
-            "map": name,
-            **asdict(self.summary),
-            "lattice": asdict(self.lattice),
-            "source": source,
+            "map": name, **asdict(self.summary), "lattice": asdict(self.lattice), "source": source,
             "parameters": self.parameters,
-        }
+        }  # fmt: skip
 
 
 def method_options(method: str, theta_step: float | None = None, threads: int = 1) -> Options:
@@ -200,13 +197,9 @@ def method_options(method: str, theta_step: float | None = None, threads: int = 
 
 
 def evaluate(
-    features: MapFeatures,
-    scans: ScanSet,
-    options: Options,
-    *,
-    tolerances: Sequence[Tolerance] = TOLERANCES,
-    advance: Callable[[], None] = lambda: None,
-) -> Evaluation:
+    features: MapFeatures, scans: ScanSet, options: Options, *,
+    tolerances: Sequence[Tolerance] = TOLERANCES, advance: Callable[[], None] = lambda: None,
+) -> Evaluation:  # fmt: skip
     """Measure a method on scans with known poses. All but ``summary.cost`` is the same in each run.
 
     Parameters
@@ -286,15 +279,11 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
         inner = density_in_stack(stack.values, at, features.free, log=log)
         densities = (inner, box, density_in_stack(posterior, at, features.free))
     return Trial(
-        *densities,
-        outside=not free,
-        exact=found == at,
+        *densities, outside=not free, exact=found == at,
         near=found is not None and _next_to(found, at, n),
-        errors=pose_errors(poses_of(answer.hypotheses[:LISTED]), truth),
-        verdict=answer.verdict,
-        ms=1e3 * (end - start),
-        stack_ms=nan if stack is None else 1e3 * (between - start),
-    )
+        errors=pose_errors(poses_of(answer.hypotheses[:LISTED]), truth), verdict=answer.verdict,
+        ms=1e3 * (end - start), stack_ms=nan if stack is None else 1e3 * (between - start),
+    )  # fmt: skip
 
 
 def _on_lattice(
@@ -323,11 +312,8 @@ def _next_to(a: tuple[int, int, int], b: tuple[int, int, int], n: int) -> bool:
 
 
 def summarise(
-    trials: Sequence[Trial],
-    method: str,
-    *,
-    tolerances: Sequence[Tolerance] = TOLERANCES,
-) -> Summary:
+    trials: Sequence[Trial], method: str, *, tolerances: Sequence[Tolerance] = TOLERANCES,
+) -> Summary:  # fmt: skip
     """Summarise the trials, at least one, of one method on one map.
 
     `tolerances` set how near to the true pose a hypothesis is right.

@@ -53,13 +53,9 @@ class GridOptions(ScannedOptions):
 
 
 def predict(
-    belief: Float32Array,
-    thetas: FloatArray,
-    resolution: float,
-    free: BoolArray,
-    increment: FloatArray,
-    noise: MotionNoise,
-) -> Float32Array:
+    belief: Float32Array, thetas: FloatArray, resolution: float, free: BoolArray,
+    increment: FloatArray, noise: MotionNoise,
+) -> Float32Array:  # fmt: skip
     """Move a belief (K, H, W) by an increment (3,), metres, metres, radians, and blur it: eq. 1.
 
     Parameters

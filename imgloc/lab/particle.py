@@ -94,13 +94,9 @@ class ParticleFilter(ScannedFilter):
     """
 
     def __init__(
-        self,
-        features: MapFeatures,
-        options: Options | None = None,
-        how: ParticleOptions | None = None,
-        *,
-        seed: int = 0,
-    ) -> None:
+        self, features: MapFeatures, options: Options | None = None,
+        how: ParticleOptions | None = None, *, seed: int = 0,
+    ) -> None:  # fmt: skip
         self.how = how or ParticleOptions()
         if not 1 <= self.how.least <= self.how.most:
             raise ConfigError(f"particles: got {self.how.least} to {self.how.most}")

@@ -58,12 +58,9 @@ def index_of(logs: FloatArray) -> Index:
 
 
 def density_in_stack(
-    values: Float32Array,
-    cell: tuple[int, int, int],
-    where: BoolArray | None = None,
-    *,
+    values: Float32Array, cell: tuple[int, int, int], where: BoolArray | None = None, *,
     log: bool = False,
-) -> float:
+) -> float:  # fmt: skip
     """Relative density ``L[k*] N / sum(L)`` that a stack gives to one of its cells.
 
     It is 1 if the stack is 0 everywhere, because the stack then has no information. It is 0 for a

@@ -13,11 +13,9 @@ from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, building, m
 from imgloc.output.plots import AREA, Entry, framed
 
 ATLAS_COLOURS: Mapping[str, Colour] = {
-    "unique": (210, 150, 60),
-    "ambiguous": (150, 165, 255),
-    "no-match": (190, 190, 190),
+    "unique": (210, 150, 60), "ambiguous": (150, 165, 255), "no-match": (190, 190, 190),
     "wrong": (0, 0, 0),
-}
+}  # fmt: skip
 """By verdict; several places are the redder the more there are, see :data:`REDS`."""
 REDS: Sequence[tuple[int, Colour, str]] = (
     (2, ATLAS_COLOURS["ambiguous"], "2 places fit"),
@@ -105,10 +103,8 @@ def draw_changes(changes: Changes, title: str = "") -> Picture:
     gone, new = (f"{k}, {(n := kinds.count(k))} place{'s' * (n != 1)}" for k in ("gone", "new"))
     walls = "" if np.isnan(share) else f": {100 * share:.1f} % of the walls seen"
     entries = [
-        (GONE, AREA, gone + walls),
-        (NEW, AREA, f"{new}: {changes.new_m2:.1f} m2"),
-        (INK, AREA, "wall that scans have seen"),
-        (_UNSEEN, AREA, "wall that no scan has seen"),
-    ]
+        (GONE, AREA, gone + walls), (NEW, AREA, f"{new}: {changes.new_m2:.1f} m2"),
+        (INK, AREA, "wall that scans have seen"), (_UNSEEN, AREA, "wall that no scan has seen"),
+    ]  # fmt: skip
     title = title or f"What has changed, by {changes.seen.scans} scans with a sure pose"
     return framed(canvas, grid.origin, title, entries)

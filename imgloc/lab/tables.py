@@ -106,15 +106,11 @@ def _index(row: Mapping[str, Any]) -> dict[str, str]:
     step = row["lattice"]["theta_step"]
     return {
         "cell": f"{row['lattice']['cell']:g} m {math.degrees(step):.3g} deg",
-        "S +- s.e.": _estimate(row["index"]),
-        "S calibrated": _estimate(row["index_calibrated"]),
-        "S max": f"{row['lattice']['log_poses']:.2f}",
-        "S all cells": _estimate(row["index_box"]),
-        "at floor": str(row["index"]["floored"]),
-        "not free": str(row["outside"]),
-        "maximum %": _share(row["exact"]),
-        "within 1 cell %": _share(row["near"]),
-    }
+        "S +- s.e.": _estimate(row["index"]), "S calibrated": _estimate(row["index_calibrated"]),
+        "S max": f"{row['lattice']['log_poses']:.2f}", "S all cells": _estimate(row["index_box"]),
+        "at floor": str(row["index"]["floored"]), "not free": str(row["outside"]),
+        "maximum %": _share(row["exact"]), "within 1 cell %": _share(row["near"]),
+    }  # fmt: skip
 
 
 def _success(row: Mapping[str, Any]) -> dict[str, str]:

@@ -49,7 +49,7 @@ PIECE: float = number("floorplan.piece")  #: metres that a wall is long at least
 # Without a doubt: least share of the drawing that is free, greatest share of the ink that is
 # outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
 DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
-_OPEN: float = number("floorplan.open")
+_OPEN: tuple[float, float] = number("floorplan.open")
 OTHER: float = number("floorplan.other")
 _HOLLOW = 2**0.5 * THICKEST[-1]  # metres: across where two of the thickest walls cross
 _ROW = (
@@ -95,8 +95,7 @@ class FloorPlan:
     other_area: float = 0.0
     rooms: int | None = None  #: with closed doors, if the drawing tells which are doors
     scale: tuple[float, str] = (0.0, "")  #: metres a unit of the drawing, and how that was found
-    guessed: bool = False  #: no name of a layer told which lines of the drawing are walls
-    lost_doors: int = 0  #: doors of the drawing that are in none of its maps
+    signs: tuple[str, ...] = ()  #: what a drawing tells against its map, the worst first
 
     @property
     def free_area(self) -> float:
@@ -160,23 +159,18 @@ class FloorPlan:
             (self.framed_area > 0,
              f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as the "
              "frame of a sheet does"),
-            (self.largest_share < _OPEN,
-             "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
-             f"closed: no part without a wall across it has more than {self.largest_share:.0%} of "
-             "the free area"),
             (not self.scale[1] and self.roomless_share > DOUBT[3],
              f"{cut}: {self.roomless_share:.0%} of the walls have no room beside them"),
             (self.gaps_share > DOUBT[2],
              f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
              f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "
              "without a door, as the two lines of a wall do, its hatching, or furniture"),
-            (self.lost_doors > 0,
-             f"{cut}: leaves of doors outside of what was found: {self.lost_doors}"),
-            (self.guessed,
-             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
-             "names the layers"),
+            (self.largest_share < _OPEN[bool(self.scale[1])],
+             "its walls were most likely misread, or its doors are drawn closed, or it is no plan, "
+             "but a table or a grid: no part without a wall across it has more than "
+             f"{self.largest_share:.0%} of the free area"),
         )  # fmt: skip
-        what = next((text for sign, text in signs if sign), "")
+        what = next((text for sign, text in signs if sign), "".join(self.signs[:1]))
         return what and (
             f"{what}. Look at `picture`; a larger `thickest` is for walls drawn as two lines, a "
             "larger `gap` for wide doors; crop frames, titles and legends; is the resolution right?"
@@ -283,17 +277,11 @@ def finished(
     _, _, wide, tall = cv2.boundingRect(walls.astype(np.uint8))
     solid = walls if more is None else walls | more
     return FloorPlan(
-        grid=_as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden, movable),
-        kinds=kinds,
-        pixel=pixel,
-        size=(wide * pixel, tall * pixel),
-        walls=len(masks.pieces(walls)[1]) - 1,
-        length=len(through) * pixel,
-        thickness=(low, median, high),
-        doors=tuple(sorted(doors)),
-        removed=_counted(kinds, len(doors), pixel),
-        **found,
-    )
+        _as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden, movable),
+        kinds, pixel, (wide * pixel, tall * pixel), len(masks.pieces(walls)[1]) - 1,
+        len(through) * pixel, (low, median, high), tuple(sorted(doors)),
+        _counted(kinds, len(doors), pixel), **found,
+    )  # fmt: skip
 
 
 def _as_grid(

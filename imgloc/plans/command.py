@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from imgloc.io.images import ImageSize
     from imgloc.io.mapyaml import MapYaml
     from imgloc.plans.building import FloorPlan
 
@@ -159,12 +158,10 @@ def _drawn(
 ) -> "list[FloorPlan]":  # fmt: skip
     """The maps of the floors of a drawing."""
     from imgloc.plans.drawn import drawing_to_maps
-    from imgloc.plans.files import measured_resolution
     from imgloc.plans.vectors import read_drawing
 
-    if resolution is not None and distance is not None:
-        raise ConfigError(f"{display(path)}: the scale is given twice")
-    scale = resolution if distance is None else measured_resolution(distance)
+    given = resolution is not None or distance is not None
+    scale = _scale(display(path), resolution, distance) if given else None
     return drawing_to_maps(
         read_drawing(path), resolution=scale, origin=origin, cell=drawing.cell,
         thickest=drawing.thickest, gap=drawing.gap, doors=doors,
@@ -183,7 +180,7 @@ def _pixels(
     from imgloc.plans.floorplan import plan_bytes, plan_to_map
 
     size = image_size(path)
-    scale = _scale(display(path), resolution, distance, size)
+    scale = _scale(display(path), resolution, distance, size.width, size.height)
     what = f"{display(path)}: a plan of {size.width} x {size.height} pixels"
     need = plan_bytes(size.height, size.width, scale, drawing.cell)
     inputs.desk_of(1, budget).check(need, what, "crop the plan, use a larger --cell")
@@ -196,9 +193,12 @@ def _pixels(
 
 
 def _scale(
-    name: str, resolution: float | None, distance: Sequence[float] | None, size: "ImageSize"
+    name: str, resolution: float | None, distance: Sequence[float] | None, *size: float
 ) -> float:
-    """Metres a pixel of a plan, as stated or by two points; a ConfigError without either."""
+    """Metres a pixel of a plan, or unit of a drawing, as stated or by two points.
+
+    A ConfigError without either, or with both. `size` is that of an image, pixels.
+    """
     from imgloc.plans.files import measured_resolution
 
     if (resolution is None) == (distance is None):
@@ -206,7 +206,7 @@ def _scale(
             f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "
             "--resolution, metres a pixel, or --distance: two points and the metres between them"
         )
-    scale = resolution or measured_resolution(distance or (), size.width, size.height)
+    scale = resolution or measured_resolution(distance or (), *size)
     check = check_of(PlanScale)
     if check is not None and (refused := check(scale)) is not None:
         raise ConfigError(f"--distance: got {scale:g}, expected {refused[1]}")

@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from imgloc.errors import MapError
 from imgloc.model import FloatArray
 from imgloc.numbers import number
 from imgloc.plans.vectors import Stroke
 
 _HANGS = 0.15  # of its width, that a leaf may end beside its hinge or its swing
+_MOST = 4000  # doors of a drawing: a hospital has a thousand
 _SHARP = np.cos(np.deg2rad(26))  # a larger turn is a corner, and not a part of an arc
-_SWINGS = (55, 185)  # degrees that a door may turn
+_SWINGS = (40, 185)  # degrees that a door may turn
 LEAVES: tuple[float, float] = number("floorplan.leaf")  #: metres that a leaf may be wide
 
 
@@ -41,7 +43,7 @@ def doors_of(strokes: Sequence[Stroke], roles: Sequence[str]) -> list[Door]:
     both = np.concatenate(pairs)
     both = np.concatenate((both, both[:, ::-1]))  # from either end
     tree, length = cKDTree(both[:, 0]), np.hypot(*(both[:, 1] - both[:, 0]).T)
-    found = list[Door]()
+    found, known = list[Door](), np.full((_MOST, 3), np.inf)  # hinges and widths
     for stroke, role in zip(strokes, roles, strict=True):
         if role in ("thing", "stairs") or stroke.filled:
             continue
@@ -51,12 +53,14 @@ def doors_of(strokes: Sequence[Stroke], roles: Sequence[str]) -> list[Door]:
             leaf = [
                 bool((np.hypot(*(both[near, 1] - tip).T) < _HANGS * radius).any()) for tip in tips
             ]
-            twice = (
-                np.hypot(*(d.hinge - centre)) < 0.3 * radius
-                and abs(d.width - radius) < 0.3 * radius
-                for d in found
+            others = known[: len(found)]
+            twice = (np.hypot(*(others[:, :2] - centre).T) < 0.3 * radius) & (
+                abs(others[:, 2] - radius) < 0.3 * radius
             )
-            if (any(leaf) or role == "door") and not any(twice):
+            if (any(leaf) or role == "door") and not twice.any():
+                if len(found) == _MOST:
+                    raise MapError(f"it has more than {_MOST:,} doors, expected that of a floor")
+                known[len(found)] = *centre, radius
                 opened = 0 if leaf[0] or not leaf[1] else 1
                 found.append(Door(centre, tips[1 - opened], tips[opened], radius, all(leaf)))
     return _turned(found, walls)
@@ -69,15 +73,16 @@ def _turned(doors: list[Door], walls: list[FloatArray]) -> list[Door]:
     some = np.concatenate(
         [dense(w, np.median([d.width for d in doors] or [1]) / 20) for w in walls]
     )
-    tree = cKDTree(some)
-    out = []
-    for d in doors:
+    tree, out = cKDTree(some), list[Door]()
+    tips = np.array([(d.closed, d.opened, d.hinge) for d in doors]).reshape(-1, 2)
+    for n, d in enumerate(doors):
         ends = d.closed, d.opened
         beyond = [end + 0.1 * (end - d.hinge) for end in ends]
         away = [float(tree.query(b)[0]) for b in beyond]
         for k, end in enumerate(ends):
-            tips = [t for o in doors if o is not d for t in (o.closed, o.opened, o.hinge)]
-            if tips and np.hypot(*(np.array(tips) - end).T).min() < _HANGS * d.width:
+            others = np.hypot(*(tips - end).T)
+            others[3 * n : 3 * n + 3] = np.inf
+            if others.min() < _HANGS * d.width:
                 away[k] = min(away[k], 0.1 * d.width)
         swap = away[1] + (0 if d.both else 0.15 * d.width) < away[0]
         out.append(replace(d, closed=d.opened, opened=d.closed) if swap else d)

@@ -7,6 +7,7 @@ shapes do: an arc with a straight leaf is a door, and the widths of doors are a 
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,12 +26,9 @@ from imgloc.plans.doors import LEAVES, Door, dense, doors_of
 from imgloc.plans.vectors import NAMES, Drawing, Stroke
 
 _KIND = {
-    "": Kind.LINE,
-    "note": Kind.TEXT,
-    "stairs": Kind.HATCH,
-    "thing": Kind.SYMBOL,
+    "": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
     "door": Kind.SWING,
-}
+}  # fmt: skip
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
 _SIZES = (3.0, 1000.0)  # metres that a floor may be long
 _ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
@@ -42,6 +40,8 @@ _PILLARS = 2.0  # metres that a filled area may be wide, and still be a wall or 
 # Square metres of what is between two lines, at least, for each of the thicknesses of walls: what
 # is thicker than most walls has to be longer than a cupboard or a cabin.
 _BODY = (0.03, 2.0)
+_SHUT = 0.1  # of the doors, that are blocked: of real drawings next to none
+_USUAL = (0.65, 1.1)  # metres that half of all doors are wide
 _AROUND = 2.0  # metres around a floor that are shown
 _ROOM = 1.5  # square metres of a room, at least
 
@@ -56,26 +56,37 @@ _STEMS: dict[str, str] = {
         "axe axes axis asse assi achs eje grid frame border rahmen symb level rights proje proie "
         "dash tratteg hidden verdeckt roof ceil dach decke techo beam trave elec elek hvac "
         "defpoint viewport vport area room north nord patt iden tag legend logo leyend "
+        "head demo démol abbruch derrib demol снос 拆除 "
         "оси размер текст осев штамп 标注 轴 文字 尺寸 图框 轴线 注释 房间 寸法 通り芯 www .com"
     ),
     "stairs": "stair scala scale trep trap escal scar comunic лестн 楼梯 階段 schod ramp lift elev",
     "window": "win wind window winow fenster fenetr fenêtr finestr vetrat ventan janel окн 窗 窓 "
-    "okn glaz glas glass raam fönst vindu vindue jendela curtain ikkun pencere fereast παράθ παραθ "
+    "okn glaz glas glass raam vitr gls kozijn infiss serram fönst vindu vindue "
+    "jendela curtain ikkun pencere fereast παράθ παραθ "
     "نافذ نوافذ חלון sổ ablak 창 サッシ",
     "door": "door port porte porta türe tür tuer puert двер 门 門 扉 drzw dveř dver kapı deur dør "
     "dörr ovi pintu usci πόρτ πορτ θύρ θυρ باب أبواب דלת cửa ajtó 문 ドア",
     "wall": "wall mur mure murs muro muratur wand wänd waende maue paret pared tabiq "
     "alvenar стен перег 墙 壁 ścian scian sten stěn vegg vägg væg seinä duvar dind cloison partit "
+    "mason maçon mauer tramez tampon trockenbau leichtbau rohbau béton кирпич 隔断 隔墙 間仕切 "
     "gips drywall plaster cartong column pilast pilar pillar stütz stuetz poteau колон 柱 kolom "
     "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות tường tuong cột "
     "muur dinding tembok 벽",
 }
+_BEARING = re.compile(r"port(eur|ant)\w*")  # and no door
 _WORDS = re.compile(r"[^\W\d_]+|\.com")
 
 
 def role_of(name: str) -> str:
-    """Return what is drawn on a layer or in a block by its name; empty if no word is known."""
-    words = _WORDS.findall(name.lower())
+    """Return what is drawn on a layer, in blocks, by their names; empty if no word is known."""
+    own, *blocks = (_role(part) for part in name.split(" / "))
+    # A block may be called as its floor or its sheet, and have walls.
+    some = {"note"} if own == "note" else {own, *blocks} - {"note"} - {""} or {*blocks}
+    return next((role for role in _STEMS if role in some), "")
+
+
+def _role(name: str) -> str:
+    words = _WORDS.findall(_BEARING.sub("wall", name.lower()))
     for role, stems in _STEMS.items():
         for stem in stems.split():
             size = len(stem) if stem.isascii() else 4  # one sign may be a whole word
@@ -99,11 +110,14 @@ def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tu
         leaves = (widths * unit > LEAVES[0]) & (widths * unit < LEAVES[1])
         return fits * int(np.count_nonzero(leaves))
 
-    for unit, said in drawing.units:
-        if agree(unit) >= 2 or (agree(unit) and len(doors) < 3):
-            return unit, f"{said} as the file states, and {agree(unit)} doors fit"
-    votes = {unit: 0 if drawing.page else agree(unit) for unit in NAMES if unit != 0.1}
+    votes = {
+        unit: 0 if drawing.page else agree(unit) for unit in NAMES if unit not in (0.1, 0.9144)
+    }
     best = max(votes, key=lambda unit: votes[unit])
+    most = max(votes[best], *(agree(unit) for unit, _ in drawing.units), 0)
+    for unit, said in drawing.units:
+        if 2 * agree(unit) > most and (agree(unit) >= 2 or len(doors) < 3):
+            return unit, f"{said} as the file states, and {agree(unit)} doors fit"
     stated = [said for _, said in drawing.units]
     if votes[best] >= 2:
         but = f", and not {stated[0]} as the file states" if stated else ""
@@ -145,8 +159,16 @@ class Sheet:
         """Pixels of lines, as wide as they are drawn."""
         out = np.zeros(self.shape, np.uint8)
         for s in strokes:
-            wide = max(1, round(min(s.wide * self.unit, _PILLARS) / self.pixel))
-            cv2.polylines(out, [self.fixed(s.points)], False, 1, wide, cv2.LINE_8, _BITS)
+            cv2.polylines(out, [self.fixed(s.points)], False, 1, 1, cv2.LINE_8, _BITS)
+            if (wide := min(s.wide * self.unit, _PILLARS)) > 1.5 * self.pixel:
+                half, step = (wide - self.pixel) / 2 / self.unit, np.diff(s.points, axis=0)
+                side = half * step[:, ::-1] * (-1, 1) / np.hypot(*step.T).clip(1e-12)[:, None]
+                for a, b, to in zip(s.points[:-1], s.points[1:], side, strict=True):
+                    corners = self.fixed(np.array([a - to, b - to, b + to, a + to]))
+                    cv2.fillConvexPoly(out, corners, 1, cv2.LINE_8, _BITS)
+                radius = round(half * self.unit / self.pixel * 2**_BITS)
+                for corner in self.fixed(s.points[1:-1]).tolist():  # no line goes on at its ends
+                    cv2.circle(out, corner, radius, 1, -1, cv2.LINE_8, _BITS)
         return out > 0
 
     def areas(self, strokes: Iterable[Stroke]) -> BoolArray:
@@ -160,11 +182,11 @@ class Sheet:
         wide = 2 * self.pixel * masks.greatest(masks.depth(out > 0), labels, out > 0, len(stats))
         return np.asarray((out > 0) & (wide < _PILLARS)[labels])
 
-    def on(self, point: FloatArray, cells: BoolArray, cell: float) -> bool:
-        """Return whether a point of the drawing is on some cells."""
+    def at(self, point: FloatArray, cells: npt.NDArray[Any], cell: float) -> int:
+        """The value of the cell that a point of the drawing is in; 0 if it is in none."""
         column, row = np.floor((point * self.unit - self.corner) / cell).astype(int).tolist()
         here = 0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]
-        return here and bool(cells[row, column])
+        return int(cells[row, column]) if here else 0
 
 
 def drawing_to_maps(
@@ -180,16 +202,16 @@ def drawing_to_maps(
     leaves = [d for d in leaves if LEAVES[0] < d.width * unit < LEAVES[1]]
     part = _parts_of_doors(drawing.strokes, roles, leaves)
     roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
-    best = list[Floor]()
+    best, box = list[Floor](), np.inf
     for taken in (("wall", "window"), ("wall", "window", "")):
         some = [
             s for s, r in zip(drawing.strokes, roles, strict=True) if r in taken and not s.dashed
         ]
         if not some or (walls and "" in taken):
             continue
-        box = np.ptp(np.concatenate([s.points for s in some]), axis=0).prod() * unit**2
         if sum(f.area for f in best) * cell**2 > _COVERED * box:
             break
+        box = np.ptp(np.concatenate([s.points for s in some]), axis=0).prod() * unit**2
         floors = _floors(some, leaves, unit, cell, thickest, gap, named="" not in taken)
         if sum(f.area for f in floors) > _MORE * sum(f.area for f in best):
             best = floors
@@ -201,11 +223,33 @@ def drawing_to_maps(
             "`resolution` is another scale"
         )
     lost = sum(not any(f.has(d) for f in best) for d in leaves)
-    plans = [
-        _map_of(f, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture)
-        for f in best
-    ]
-    return [replace(plans[0], lost_doors=lost), *plans[1:]]
+    usual = np.median([d.width for d in leaves] or [0]) * unit
+    plans = list[FloorPlan]()
+    for floor in best:
+        plan = _map_of(
+            floor, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture
+        )
+        shut = floor.blocked
+        signs = (
+            (lost > 0 and not plans,
+             "a part of the building was most likely cut off: leaves of doors outside of what was "
+             f"found: {lost}"),
+            (shut > _SHUT * len(floor.leaves),
+             f"{shut} of {len(floor.leaves)} doors are in walls, or open into walls, as if two "
+             "floors lay over each other, or thresholds were walls; `walls` names the layers"),
+            (not resolution and not leaves,
+             f"no door tells whether its scale of {unit:g} metres a unit is right: measure a room "
+             "on the map; `distance` gives another scale"),
+            (not resolution and drawing.page and not _USUAL[0] < usual < _USUAL[1],
+             f"its doors are {usual:.2f} m wide, half of them less: is its scale right, {said}?"),
+            (plan.thickness[1] < 3 * plan.pixel,
+             "its walls are single lines, so rooms are too large by half of a wall on each side"),
+            (floor.guessed,
+             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
+             "names the layers"),
+        )  # fmt: skip
+        plans.append(replace(plan, signs=tuple(text for sign, text in signs if sign)))
+    return plans
 
 
 def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
@@ -266,7 +310,19 @@ class Floor:
         """Return whether a door is in the building, or in a wall of it."""
         cell = self.sheet.pixel * self.sheet.parts
         near = masks.grown(self.inside, round(building.GAPS[0] / cell))
-        return self.sheet.on(door.closed, near, cell)
+        return bool(self.sheet.at(door.closed, near, cell))
+
+    @property
+    def blocked(self) -> int:
+        """Leaves that walls are across where they are closed, or where they swing."""
+        count, walls = 0, masks.beside(self.walls)
+        for d in self.leaves:
+            turns = np.linspace(0, 1, 6)[:, None] * (d.opened - d.closed) + d.closed - d.hinge
+            turns *= d.width / np.hypot(*turns.T).clip(1e-9 * d.width)[:, None]
+            spots = d.hinge + np.outer((0.3, 0.5, 0.7, 0.85), turns).reshape(-1, 2)
+            on = np.array([self.sheet.at(spot, walls, self.sheet.pixel) for spot in spots])
+            count += bool(on[::6].mean() > 0.5 or on.reshape(4, 6)[:, 2:].mean() > 0.1)
+        return count
 
 
 def _floors(
@@ -315,20 +371,26 @@ def _floors_of(
     near = building.GAPS[0 if leaves else 1] / cell
     labels, stats = masks.pieces(masks.grown(taken, max(1, round(near))))
     floors = list[Floor]()
-    spans = masks.spans(stats)
+    spans, at = (
+        masks.spans(stats),
+        np.array([sheet.at(d.closed, labels, cell) for d in leaves], int),
+    )
+    doors = np.bincount(at, minlength=len(stats))[1:].max(initial=0) > 1
     for k in np.argsort(-spans, kind="stable").tolist():
         most = max((f.area for f in floors), default=0)
         if spans[k] <= max(building.LEAST / cell**2, building.OTHER * most):
             break
+        if doors and not (at == k).any():  # a frame, a site or a section, where others have doors
+            continue
         x, y, wide, high = stats[k, :4].tolist()
         here = slice(y, y + high), slice(x, x + wide)
         inside = np.zeros_like(taken)
         inside[here], closed = building.inside_of((taken & (labels == k))[here], cell, gap)
         if np.count_nonzero(inside) * cell**2 > building.LEAST:
             own = building.touching(walls, masks.finer(inside, parts))
-            doors = (masks.coarser(shut & ~walls, parts) > 0) & masks.grown(inside, 1)
-            hung = [d for d in leaves if sheet.on(d.closed, labels == k, cell)]
-            floors.append(Floor(sheet, own, shut, hung, inside | doors, closed, not named))
+            between = (masks.coarser(shut & ~walls, parts) > 0) & masks.grown(inside, 1)
+            hung = [d for d, of in zip(leaves, at, strict=True) if of == k]
+            floors.append(Floor(sheet, own, shut, hung, inside | between, closed, not named))
     return floors
 
 
@@ -392,5 +454,5 @@ def _map_of(
         walls, inside, kinds, cell, corner, [d.width * sheet.unit for d in floor.leaves],
         more, hidden, movable,
         gap=floor.gap, thinnest=sheet.pixel, thickest=building.THICKEST[-1],
-        rooms=int(np.count_nonzero(rooms > _ROOM)), scale=(sheet.unit, said), guessed=floor.guessed,
+        rooms=int(np.count_nonzero(rooms > _ROOM)), scale=(sheet.unit, said),
     )  # fmt: skip

@@ -53,32 +53,12 @@ class Between:
     body: BoolArray  #: walls that are drawn as lines, with these
 
 
-@dataclass(frozen=True, eq=False)
-class Enclosed:
-    """Walls that enclose the building."""
-
-    thinnest: float  #: what is thinner was no wall, metres
-    walls: BoolArray  #: pixels, without frames and pillars
-    pillars: BoolArray  #: pixels
-    swings: list[Door]
-    inside: BoolArray  #: cells
-    gap: float  #: openings up to so wide count as closed, metres
-    frame: BoolArray  #: pixels of frames round the sheet
-
-
 def plan_to_map(
-    grey: npt.NDArray[np.uint8],
-    resolution: float,
-    *,
-    origin: Pose2D | None = None,
-    cell: float | None = None,
-    thinnest: float | None = None,
-    thickest: float | None = None,
-    gap: float | None = None,
-    ink: float | None = None,
-    inverted: bool | None = None,
+    grey: npt.NDArray[np.uint8], resolution: float, *, origin: Pose2D | None = None,
+    cell: float | None = None, thinnest: float | None = None, thickest: float | None = None,
+    gap: float | None = None, ink: float | None = None, inverted: bool | None = None,
     advance: Callable[[], None] = lambda: None,
-) -> FloorPlan:
+) -> FloorPlan:  # fmt: skip
     """Make a map of a floor plan: walls as they stand, everything else that is drawn taken away.
 
     Parameters
@@ -148,15 +128,16 @@ def plan_to_map(
     thin = max(thinnest, min(building.SOFT * max(pen, building.SOFT * resolution), building.PEN))
     tried = (thickest,) if thickest is not None else building.THICKEST
     between, frame = _lined(drawn, bold, resolution, tried, thin, parts, pixel, gap, advance)
-    found = _enclosing(drawn, bold, frame, between, thin, parts, pixel, gap, advance)
-    inside = masks.finer(found.inside, parts)
-    walls = building.touching(found.walls & ~found.frame | found.pillars, inside)
-    kinds = _kinds(drawn, walls, inside, between.hatching, found.frame, found.swings, pixel)
+    (least, solid, pillars, swings, within, closed), frame = _enclosing(
+        drawn, bold, frame, between, thin, parts, pixel, gap, advance
+    )
+    inside, solid = masks.finer(within, parts), solid & ~frame
+    walls = building.touching(solid | pillars, inside)
+    kinds = _kinds(drawn, walls, inside, between.hatching, frame, swings, pixel)
     plan = building.finished(
-        walls, found.inside, kinds, cell, origin or Pose2D(0, 0),
-        [swing.width * pixel for swing in found.swings],
-        gap=found.gap, thinnest=found.thinnest, thickest=between.thickest, inverted=inverted,
-        other_area=_elsewhere(found.walls & ~found.frame, found.inside, cell, found.gap),
+        walls, within, kinds, cell, origin or Pose2D(0, 0), [d.width * pixel for d in swings],
+        gap=closed, thinnest=least, thickest=between.thickest, inverted=inverted,
+        other_area=_elsewhere(solid, within, cell, closed),
     )  # fmt: skip
     return replace(plan, framed_area=_framed(plan.grid.occupied, cell, gap) * cell**2)
 
@@ -186,8 +167,14 @@ def _lined(
 def _enclosing(
     drawn: BoolArray, bold: BoolArray, frame: BoolArray, between: Between, thin: float,
     parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
-) -> Enclosed:  # fmt: skip
-    """The walls that enclose the building, no thinner than needed: `thin` metres if possible."""
+) -> tuple[
+    tuple[float, BoolArray, BoolArray, list[Door], BoolArray, float], BoolArray
+]:  # fmt: skip
+    """The walls that enclose the building, no thinner than needed: `thin` metres if possible.
+
+    Returns their least thickness, metres; walls and pillars, pixels; swings of doors; cells inside,
+    with openings up to so many metres closed; and pixels of frames round the sheet.
+    """
     best, best_area = None, building.LEAST / (parts * pixel) ** 2
     for share in _THINNER:
         walls, pillars, short, swings = _walls(drawn, bold, between, share * thin, pixel)
@@ -203,8 +190,19 @@ def _enclosing(
         if best is not None and area * parts**2 >= building.DOUBT[0] * span:
             break
     if best is None:
-        raise MapError(_nothing(drawn, walls, pixel, thin, between.thickest, gap))
-    return Enclosed(*best, frame)
+        _, _, wide, high = cv2.boundingRect(drawn.astype(np.uint8))
+        why = (
+            f"walls were found, but they enclose nothing of {building.LEAST:g} square metres, even "
+            f"with openings of {gap or building.GAPS[-1]:g} m closed; a wider `gap` closes more"
+        )
+        if np.count_nonzero(walls) * pixel**2 < 0.2:
+            why = (
+                f"no walls found: no ink is {thin * _THINNER[-1]:.2f} m thick, and no lines run "
+                f"less than {between.thickest:g} m apart"
+            )
+        size = f"{wide * pixel:.3g} x {high * pixel:.3g} m"
+        raise MapError(f"{why}; the drawing is {size}; is the resolution right?")
+    return best, frame
 
 
 def _walls(
@@ -612,22 +610,3 @@ def refuse_photo(evened: npt.NDArray[np.uint8]) -> None:
             f"only {share:.0%} of it is light as paper, expected a drawing: a photo? Scan the "
             "plan, or export it from its CAD program"
         )
-
-
-def _nothing(
-    drawn: BoolArray, walls: BoolArray, pixel: float, thin: float, thick: float,
-    gap: float | None,
-) -> str:  # fmt: skip
-    """Why there is no building in a plan."""
-    _, _, wide, high = cv2.boundingRect(drawn.astype(np.uint8))
-    what = f"the drawing is {wide * pixel:.3g} x {high * pixel:.3g} m; is the resolution right?"
-    if np.count_nonzero(walls) * pixel**2 < 0.2:
-        return (
-            f"no walls found: no ink is {thin * _THINNER[-1]:.2f} m thick, and no lines run less "
-            f"than {thick:g} m apart; {what}"
-        )
-    widest = building.GAPS[-1] if gap is None else gap
-    return (
-        f"walls were found, but they enclose nothing of {building.LEAST:g} square metres, not "
-        f"even if openings of {widest:g} m are closed; {what} A wider `gap` closes more"
-    )

@@ -20,12 +20,16 @@ from imgloc.model import FloatArray
 
 MAX_BYTES = 100_000_000  #: of a file
 MOST = 400_000  #: strokes, and entities in the file; a large floor has some 20,000
+_LINES = 3_000_000  # of a DXF as text, which takes half a minute; a large floor has 200,000
 _DEEP = 24  # blocks within blocks
 _FAR = 1e10  # units from the zero point: nothing that is built is farther away
 _FINE = 0.003  # of its size, that a line may stay away from its curve
-#: metres of the units of a DXF, by the number in its header
-UNITS = {1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 14: 0.1}
-NAMES = {0.0254: "inches", 0.3048: "feet", 0.001: "mm", 0.01: "cm", 1.0: "m", 0.1: "dm"}
+#: metres of the units of a DXF and their names, by the number in its header
+UNITS = {
+    1: (0.0254, "inches"), 2: (0.3048, "feet"), 4: (0.001, "mm"), 5: (0.01, "cm"), 6: (1.0, "m"),
+    10: (0.9144, "yards"), 14: (0.1, "dm"), 21: (0.3048, "feet"),
+}  # fmt: skip
+NAMES = dict(UNITS.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +98,10 @@ def _dxf(data: bytes) -> Drawing:
         raise MapError("it is a binary DXF, expected one as text: save it as ASCII")
     if data.startswith(b"AC10"):
         raise MapError("it is a DWG, expected a DXF: save it as one")
-    if len(re.findall(rb"\n *0\r?\n *[A-Z3][A-Z_]{2,}", data)) > 3 * MOST:
-        raise MapError(f"it has more than {3 * MOST:,} entities, expected the drawing of a floor")
+    if data.count(b"\n") > _LINES:
+        raise MapError(
+            f"it has more than {_LINES:,} lines of text, expected the drawing of a floor"
+        )
     if not data.rstrip(b"\r\n \x1a\0").endswith(b"EOF"):
         last = re.findall(rb"\n *0\r?\nSECTION\r?\n *2\r?\n(\w+)", data[:MAX_BYTES])
         raise MapError(
@@ -111,7 +117,7 @@ def _dxf(data: bytes) -> Drawing:
         raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
     others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
     unit = UNITS.get(document.header.get("$INSUNITS", 0))
-    return Drawing(strokes, ((unit, NAMES[unit]),) if unit in NAMES else (), missing=tuple(others))
+    return Drawing(strokes, (unit,) if unit else (), missing=tuple(others))
 
 
 def _unfolded(document: Any) -> Iterator[Stroke]:
@@ -125,8 +131,7 @@ def _unfolded(document: Any) -> Iterator[Stroke]:
     while waiting:
         entity, layer, line, blocks = waiting.pop()
         count += 1
-        if count > MOST:
-            raise MapError(f"its blocks unfold to more than {MOST:,} entities: a bomb?")
+        _bounded(count)
         layer = layer if entity.dxf.layer == "0" else entity.dxf.layer
         own = entity.dxf.get("linetype", "BYLAYER").lower()
         line = {"bylayer": lines.get(layer.lower(), ""), "byblock": line}.get(own, own)
@@ -137,22 +142,27 @@ def _unfolded(document: Any) -> Iterator[Stroke]:
             block = entity.dxf.name
             if block in blocks or len(blocks) >= _DEEP:
                 raise MapError(f"the block {block[:40]} is part of itself")
-            if (
-                entity.mcount > MOST
-                or len(entity.block() or ()) * entity.mcount + len(waiting) > MOST
-            ):
-                raise MapError(f"its blocks unfold to more than {MOST:,} entities: a bomb?")
+            _bounded(max(1, len(entity.block() or ())) * entity.mcount + len(waiting))
             copies = entity.multi_insert() if entity.mcount > 1 else (entity,)
             waiting += [
                 (e, layer, line, (*blocks, block)) for c in copies for e in c.virtual_entities()
             ]
-        elif kind in ("MLINE", "ACAD_PROXY_ENTITY"):
+        elif kind in ("MLINE", "ACAD_PROXY_ENTITY") or (
+            kind == "POLYLINE" and not (entity.is_2d_polyline or entity.is_3d_polyline)
+        ):
             waiting += [(e, layer, line, blocks) for e in entity.virtual_entities()]
         else:
             where = " / ".join((layer, *blocks))
             for points, filled, wide in _traced(entity, kind):
+                count += 1
+                _bounded(count)
                 if _drawn(points):
                     yield Stroke(points, where, filled, line in dashes, wide)
+
+
+def _bounded(count: int) -> None:
+    if count > MOST:
+        raise MapError(f"its parts unfold to more than {MOST:,}: a bomb?")
 
 
 def _traced(entity: Any, kind: str) -> Iterator[tuple[FloatArray, bool, float]]:
@@ -168,10 +178,17 @@ def _traced(entity: Any, kind: str) -> Iterator[tuple[FloatArray, bool, float]]:
     elif kind in ("SOLID", "TRACE", "3DFACE"):
         points = np.array([(p.x, p.y) for p in entity.wcs_vertices(close=True)])
         yield points, kind != "3DFACE", 0.0
+    elif kind == "MESH":
+        corners = np.array([(p[0], p[1]) for p in entity.vertices]).reshape(-1, 2)
+        for face in entity.faces:
+            yield corners[[*face, face[0]]], False, 0.0
     elif kind in ("LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"):
-        wide = entity.dxf.get("const_width", 0.0) if kind == "LWPOLYLINE" else 0.0
-        if kind == "POLYLINE" and not (entity.is_2d_polyline or entity.is_3d_polyline):
-            return
+        wide = 0.0
+        if kind == "LWPOLYLINE":
+            widths = [w for pair in entity.get_points("se") for w in pair]
+            wide = max(entity.dxf.get("const_width", 0.0), *widths, 0.0)
+        elif kind == "POLYLINE":
+            wide = entity.dxf.get("default_start_width", 0.0)
         yield _flat(path.make_path(entity)), False, float(wide)
 
 
@@ -186,7 +203,8 @@ def _flat(path: Any) -> FloatArray:
 
 _UNSEEN = {"defs", "clipPath", "mask", "symbol", "pattern", "marker", "script", "style", "image",
            "foreignObject", "metadata", "filter"}  # fmt: skip
-_SCALE = re.compile(r"(?<![\d:.])1 ?[:/] ?(\d{1,4})(?![\d:])")
+_SCALE = re.compile(r"(?<![\d:.])1 ?[:/] ?(\d{1,4})(?![\d:\"])")
+_INCHES = re.compile(r"(?<![\d/])(\d{1,2})(?:/(\d{1,2}))?\" ?= ?(\d{1,3})'")  # on paper, feet
 _MM = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72, "m": 1000.0}
 _SHAPE = re.compile("d|r?[xy]|c[xy]|r|[xy][12]|width|height|points")
 _INHERITED = {"fill", "stroke", "stroke-width", "stroke-dasharray", "visibility"}
@@ -208,7 +226,7 @@ def _svg(data: bytes) -> Drawing:
     except ElementTree.ParseError as error:
         raise MapError(f"it cannot be read as SVG: {error}") from None
     sheets = " ".join("".join(e.itertext()) for e in root.iter() if str(e.tag).endswith("style"))
-    classes = {k: _rules(v) for k, v in re.findall(r"\.([\w-]+)\s*\{([^}]*)\}", sheets[:1_000_000])}
+    styles = _styles(sheets[:1_000_000])
     known = {e.get("id"): e for e in root.iter() if e.get("id")}
     strokes, texts, count = list[Stroke](), list[str](), 0
     waiting: list[tuple[Any, Any, str, dict[str, str], tuple[str, ...]]]
@@ -216,12 +234,12 @@ def _svg(data: bytes) -> Drawing:
     while waiting:
         e, matrix, layer, style, path = waiting.pop()
         count += 1
-        if count > MOST or len(strokes) > MOST:
-            raise MapError(f"its elements unfold to more than {MOST:,}: a bomb?")
+        _bounded(max(count, len(strokes)))
         tag = str(e.tag).rpartition("}")[2]
         style = style | dict(e.attrib)
-        for name in e.get("class", "").split():
-            style |= classes.get(name, {})
+        classes = [f".{name}" for name in e.get("class", "").split()]
+        for name in ("*", tag, *classes, f"#{e.get('id', '')}"):
+            style |= styles.get(name, {})
         style |= _rules(e.get("style", ""))
         if (tag in _UNSEEN and not (tag == "symbol" and path)) or style.get("display") == "none":
             continue
@@ -232,12 +250,12 @@ def _svg(data: bytes) -> Drawing:
             matrix = Matrix(e.get("transform", "")) * matrix
             label = next((v for k, v in e.items() if k.endswith("}label")), e.get("id", ""))
             if tag in ("g", "svg", "a", "symbol", "switch"):
-                layer = f"{layer} / {label}" if layer and label else layer or label
+                layer = f"{label} / {layer}" if layer and label else layer or label
             elif tag == "use":
                 name = next((v for k, v in e.items() if k.endswith("href")), "").lstrip("#")
                 if name in path or len(path) >= _DEEP:
                     raise MapError(f"the element {name[:40]} is part of itself")
-                place = Matrix(f"translate({_number(e, 'x')},{_number(e, 'y')})")
+                place = Matrix(f"translate({e.get('x', 0)},{e.get('y', 0)})")
                 if name in known:
                     waiting.append((known[name], place * matrix, layer, style, (*path, name)))
                 continue
@@ -246,21 +264,39 @@ def _svg(data: bytes) -> Drawing:
             strokes += _shaped(e, tag, matrix, layer, style)
         except (ValueError, TypeError, ArithmeticError, IndexError, AttributeError) as error:
             raise MapError(f"its element {tag} cannot be read: {str(error)[:80]}") from None
-    wide = re.fullmatch(r"\s*([\d.]+)\s*(mm|cm|in|pt|m)\s*", root.get("width", ""))
+    return Drawing(strokes, _stated(_paper(root), texts), page=True)
+
+
+def _paper(root: Any) -> float:
+    """Metres on paper of a unit of an SVG; 0 if it is not stated."""
+    sides = (
+        re.fullmatch(r"\s*([\d.]+)\s*(mm|cm|in|pt|m)\s*", root.get(key, ""))
+        for key in ("width", "height")
+    )
     box = re.findall(r"[-+\d.eE]+", root.get("viewBox", ""))
-    side = float(box[2]) if len(box) == 4 else 0.0
-    paper = float(wide[1]) * _MM[wide[2]] / side / 1000 if wide and side > 0 else 0.0
-    return Drawing(strokes, _stated(paper, texts), page=True)
+    units = [
+        float(side[1]) * _MM[side[2]] / float(whole) / 1000
+        for side, whole in zip(sides, box[2:], strict=False)
+        if side and float(whole) > 0
+    ]
+    return min(units, default=0.0)  # a page of another shape than its box has margins
+
+
+def _styles(sheet: str) -> dict[str, dict[str, str]]:
+    """Properties by `tag`, `.class` and `#id`, the last part of each selector."""
+    out = dict[str, dict[str, str]]()
+    first, *others = sheet.split("/*")  # comments
+    for rule in (first + " ".join(c.partition("*/")[2] for c in others)).split("}"):
+        selectors, _, rules = rule.rpartition("{")
+        for selector in selectors.split(","):
+            if last := re.search(r"([.#]?[\w-]+|\*)$", selector.rstrip()[-99:]):
+                out.setdefault(last[1], {}).update(_rules(rules))
+    return out
 
 
 def _rules(text: str) -> dict[str, str]:
     """Properties in a style, by their names."""
     return dict(re.findall(r"([\w-]+)\s*:\s*([^;]*[^;\s])", text))
-
-
-def _number(e: Any, key: str) -> float:
-    found = re.match(r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?", e.get(key, ""))
-    return float(found[0]) if found else 0.0
 
 
 def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) -> Iterator[Stroke]:
@@ -303,8 +339,14 @@ def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:
 
 def _stated(paper: float, texts: Sequence[str]) -> tuple[tuple[float, str], ...]:
     """Metres of a unit by each of the scales in texts, and at full size; on paper it is `paper`."""
-    scales = dict.fromkeys(int(n) for n in _SCALE.findall(" ".join(texts)) if int(n) >= 5)
-    return tuple((paper * n, f"1:{n}") for n in (*scales, 1) if paper > 0)
+    text = re.sub("[\u201d\u2033]|''", '"', re.sub("[\u2019\u2032]", "'", " ".join(texts)))
+    scales = [float(n) for n in _SCALE.findall(text) if int(n) >= 5]
+    scales += [
+        12 * int(feet) * int(parts or 1) / int(n)
+        for n, parts, feet in _INCHES.findall(text)
+        if int(n)
+    ]
+    return tuple((paper * n, f"1:{n:g}") for n in (*dict.fromkeys(scales), 1) if paper > 0)
 
 
 def _pdf(data: bytes) -> Drawing:
@@ -319,8 +361,7 @@ def _pdf(data: bytes) -> Drawing:
             texts.append(page.get_textpage().get_text_bounded()[:100_000])
             strokes += _page(raw, page.raw, low)
             low -= 3 * page.get_height()
-            if len(strokes) > MOST:
-                raise MapError(f"it has more than {MOST:,} lines, expected the drawing of a floor")
+            _bounded(len(strokes))
     except pypdfium2.PdfiumError as error:
         raise MapError(f"it cannot be read as PDF: {error}") from None
     return Drawing(strokes, _stated(_MM["pt"] / 1000, texts), page=True)
@@ -340,8 +381,7 @@ def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
     while waiting:
         obj, outer, deep = waiting.pop()
         count += 1
-        if count > MOST:
-            raise MapError(f"its parts unfold to more than {MOST:,} objects: a bomb?")
+        _bounded(count)
         m, kind = raw.FS_MATRIX(), raw.FPDFPageObj_GetType(obj)
         raw.FPDFPageObj_GetMatrix(obj, m)
         matrix = Matrix(m.a, m.b, m.c, m.d, m.e, m.f) * outer

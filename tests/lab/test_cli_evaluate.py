@@ -38,18 +38,8 @@ def evaluated(*arguments: object) -> list[dict[str, Any]]:
 
 def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
     words = [
-        "curved",
-        "-n",
-        3,
-        "--seed",
-        5,
-        "--rays",
-        91,
-        "--sensor",
-        "0.1,0,0.5",
-        "--range-max",
-        8,
-    ]
+        "curved", "-n", 3, "--seed", 5, "--rays", 91, "--sensor", "0.1,0,0.5", "--range-max", 8,
+    ]  # fmt: skip
     fused, votes = evaluated(*words, *QUICK, "--tolerance", "0.3,20")
     assert list(fused) == list(votes) == KEYS
     assert (fused["method"], votes["method"]) == ("fused", "ght-v")

@@ -146,11 +146,9 @@ def made(errors: list[tuple[float, float]], verdict: str = "unique", ms: float =
 def test_success_by_hand() -> None:
     near, turned, far = (0.1, 0.1), (0.1, 0.3), (9.0, 0.0)
     done = [
-        made([near], "unique", 1.0),
-        made([turned, near], "unique", 2.0),
-        made([far] * 5 + [near], "ambiguous", 3.0),
-        made([], "invalid", 4.0),
-    ]
+        made([near], "unique", 1.0), made([turned, near], "unique", 2.0),
+        made([far] * 5 + [near], "ambiguous", 3.0), made([], "invalid", 4.0),
+    ]  # fmt: skip
     edge = Tolerance(0.1, 1.0)
     s = summarise(done, "fused", tolerances=(Tolerance(0.25, 0.25), edge))
     strict, exact = s.success

@@ -213,12 +213,10 @@ def test_footnote_4_for_hypotheses() -> None:
     ("hits", "n", "low", "high"),
     # Newcombe (1998), Statistics in Medicine 17: table I, method 3
     [
-        (81, 263, 0.2553, 0.3662),
-        (15, 148, 0.0624, 0.1605),
-        (0, 20, 0.0, 0.1611),
+        (81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611),
         (1, 29, 0.0061, 0.1718),
     ],
-)
+)  # fmt: skip
 def test_wilson_intervals_of_the_literature(hits: int, n: int, low: float, high: float) -> None:
     s = share([True] * hits + [False] * (n - hits))
     assert (s.hits, s.trials, s.value) == (hits, n, hits / n)

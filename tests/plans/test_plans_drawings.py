@@ -1,6 +1,7 @@
 """`imgloc map plan` of drawings: DXF, SVG and PDF that the tests write themselves."""
 
 import io
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +9,11 @@ import ezdxf
 import numpy as np
 import pytest
 from command import call, rows
+from ezdxf.layouts import Modelspace
 
 from imgloc.errors import MapError
 from imgloc.io.maps import load_map
+from imgloc.plans.building import FloorPlan
 from imgloc.plans.drawn import drawing_to_maps, role_of
 from imgloc.plans.vectors import MOST, Drawing, Stroke, read_drawing
 from imgloc.simulation.scans import simulate
@@ -216,11 +219,68 @@ def test_layers_without_names_and_layers_that_are_said(tmp_path: Path) -> None:
         ("A-DOOR", "door"), ("мебель", "thing"), ("arredi", "thing"), ("quote", "note"),
         ("A-ANNO-DIMS", "note"), ("Treppe", "stairs"), ("0", ""), ("Layer 3", ""),
         ("ΤΟΙΧΟΙ", "wall"), ("أبواب", "door"), ("Ikkunat", "window"), ("ריהוט", "thing"),
-        ("TƯỜNG 200", "wall"), ("CỬA SỔ", "window"), ("CỬA ĐI", "door"), ("벽체", "wall"),
+        ("Muri portanti", "wall"), ("A-WALL-HEAD", "note"), ("A-WALL / LEVEL 1", "wall"),
+        ("A-ANNO / wall tag", "note"), ("TƯỜNG 200", "wall"),
+        ("CỬA SỔ", "window"), ("CỬA ĐI", "door"), ("벽체", "wall"),
     ],
 )  # fmt: skip
 def test_names_in_several_languages(name: str, role: str) -> None:
     assert role_of(name) == role
+
+
+def changed(folder: Path, change: Callable[[Modelspace], None]) -> list[FloorPlan]:
+    """The maps of the floor with more in its drawing."""
+    document = ezdxf.readfile(dxf(folder / "whole.dxf"))
+    change(document.modelspace())
+    document.saveas(folder / "more.dxf")
+    return drawing_to_maps(read_drawing(folder / "more.dxf"))
+
+
+@pytest.mark.parametrize("layer", ["0", "WALLS"])
+def test_a_frame_round_the_floor_is_none_of_it(tmp_path: Path, layer: str) -> None:
+    frame = [(-9000, -9000), (30000, -9000), (30000, 20000), (-9000, 20000)]
+    (found,) = changed(
+        tmp_path, lambda m: m.add_lwpolyline(frame, close=True, dxfattribs={"layer": layer})
+    )
+    assert found.size == (pytest.approx(10.6, rel=0.01), pytest.approx(4.4, rel=0.01))
+    assert not found.doubt
+
+
+def test_walls_across_doors_are_warned_of(tmp_path: Path) -> None:
+    at = {"layer": "WALLS"}  # thresholds
+    (found,) = changed(tmp_path, lambda m: [
+        m.add_lwpolyline(points, dxfattribs=at)
+        for points in ([(5200, 2000), (5200, 2900)], [(5400, 2000), (5400, 2900)],
+                       [(2000, 0), (3000, 0)], [(2000, 200), (3000, 200)])
+    ])  # fmt: skip
+    assert "2 of 2 doors are in walls" in found.doubt
+
+
+def test_a_scale_that_no_door_tells_is_warned_of() -> None:
+    lines = [Stroke(np.array(w, float), "WALL") for w in WALLS]
+    (found,) = drawing_to_maps(Drawing(lines, ((1.0, "m"),)))
+    assert "no door tells whether its scale of 1 metres a unit is right" in found.doubt
+    (given,) = drawing_to_maps(Drawing(lines, ()), resolution=1.0)
+    assert not given.doubt
+
+
+def test_lines_are_as_wide_as_they_are_drawn_and_end_where_they_end() -> None:
+    ways = [[(0, 0), (8, 0), (8, 6), (0, 6), (0, 0)], [(3, 3), (5, 3)]]
+    strokes = [Stroke(np.array(way, float), "wall", wide=0.4) for way in ways]
+    (found,) = drawing_to_maps(Drawing(strokes, ()), resolution=1.0)
+    assert found.size == (pytest.approx(8.4, abs=0.04), pytest.approx(6.4, abs=0.04))
+    assert found.free_area == pytest.approx(7.6 * 5.6 - 2 * 0.4, abs=0.2)
+
+
+def test_rules_of_a_style_sheet_add_up(tmp_path: Path) -> None:
+    path = tmp_path / "a.svg"
+    path.write_text(
+        "<svg><style>/* .a {stroke: none} */ .a, .b {fill: none} g .a, rect {stroke: red}</style>"
+        '<path class="a" d="M0 0L9 9"/><path class="b" d="M0 0L5 5"/><rect width="2" height="3"/>'
+        "</svg>"
+    )
+    line, area = read_drawing(path).strokes
+    assert (line.points[-1].tolist(), line.filled, area.filled) == ([9, -9], False, True)
 
 
 def hostile(folder: Path) -> dict[str, tuple[bytes, str]]:
@@ -247,7 +307,7 @@ def hostile(folder: Path) -> dict[str, tuple[bytes, str]]:
         "bomb.dxf": ((folder / "bomb").read_bytes(), "unfold to more than"),
         "cycle.dxf": ((folder / "cycle").read_bytes(), "is part of itself"),
         "cut.dxf": (whole[: len(whole) // 2], "the file is cut off"),
-        "many.dxf": (many, "entities, expected the drawing of a floor"),
+        "many.dxf": (many, "lines of text, expected the drawing of a floor"),
         "no.dxf": (b"hello", "it is no DXF"),
         "dwg.dxf": (b"AC1032" + bytes(99), "it is a DWG"),
         "entities.svg": (b'<!DOCTYPE s [<!ENTITY a "b">]><svg>&a;</svg>', "declares entities"),

@@ -57,12 +57,10 @@ def plain() -> tuple[Image, FloorPlan]:
 @pytest.mark.parametrize(
     ("style", "resolution", "noise", "turn"),
     [
-        ("filled", 0.01, 30, 0.4),
-        ("outlined", 0.025, 50, 0.25),
-        ("hatched", 0.015, None, 0.0),
+        ("filled", 0.01, 30, 0.4), ("outlined", 0.025, 50, 0.25), ("hatched", 0.015, None, 0.0),
         ("grey", 0.05, None, 0.0),
     ],
-)
+)  # fmt: skip
 def test_walls_stand_where_they_were_drawn(
     style: str, resolution: float, noise: int | None, turn: float
 ) -> None:

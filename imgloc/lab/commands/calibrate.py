@@ -189,15 +189,9 @@ def _show(fits: "Mapping[str, CalibrationFit]", about: Mapping[str, Any], *, as_
 
 
 def _with_scans(
-    paths: list[Path],
-    files: list[Path],
-    how: "ScanFiles",
-    maps: "MapFiles",
-    taken: opt.Resources,
-    as_json: bool,
-    dry_run: bool,
-    force: bool,
-) -> None:
+    paths: list[Path], files: list[Path], how: "ScanFiles", maps: "MapFiles", taken: opt.Resources,
+    as_json: bool, dry_run: bool, force: bool,
+) -> None:  # fmt: skip
     """Fit the error that recorded scans share on one map."""
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
