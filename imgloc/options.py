@@ -422,9 +422,11 @@ class Options(Checked):
         "for the others]",
         "--theta-step-deg",
     )
-    engine: Annotated[str, OneOf("auto", "filter2d", "shift", "dft", "remap")] = option(
-        "auto", "Implementation of the correlations in cbml and cbml-o."
-    )
+    engine: Annotated[
+        str,
+        OneOf("auto", "filter2d", "shift", "dft", "remap"),
+        Doc("Implementation of the correlations in cbml and cbml-o."),
+    ] = "auto"
     threads: Annotated[Count, Doc("Threads; no result depends on their number.")] = 1
     memory_budget: Annotated[
         Bytes | None,

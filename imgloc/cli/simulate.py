@@ -17,7 +17,6 @@ def simulate(
     map_path: opt.MapPath,
     out: Path = option(..., "File of the scans that is written.", metavar="NPZ"),
     sensor: Sensor,
-    reading: opt.MapSize,
     count: Count = option(100, "Scans that are simulated.", "-n", "--count"),
     seed: Seed = 0,
     memory_budget: MemoryBudget | None = None,
@@ -40,7 +39,7 @@ def simulate(
             f"{_MAX_READINGS:,}; simulate several files with different seeds"
         )
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
-    maps = inputs.map_files(reading)
+    maps = inputs.map_files()
     grid = desk.grid(map_path, maps, usable=True)
     desk.check_simulation(grid, display(map_path), count, rays)
     scans = simulate(grid, count, seed, sensor)
