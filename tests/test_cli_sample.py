@@ -78,6 +78,7 @@ def test_a_scan_that_says_nothing_may_be_from_anywhere(method: str, tmp_path: Pa
 @pytest.mark.parametrize(
     ("words", "code", "expected"),
     [
+        (["--theta-step-deg", 3], 2, "fused has no stack"),
         (["--scans-index", 2], 2, "--scans-index: got 2, expected 0 to 1"),
         (["-n", 10**8], 2, "more than 10,000,000"),
     ],

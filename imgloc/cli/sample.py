@@ -9,7 +9,7 @@ from imgloc.cli.command import Only
 from imgloc.cli.console import LOG, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import Cell, Chosen, Count, Options, Seed
+from imgloc.options import FUSED, Cell, Chosen, Count, Options, Seed
 from imgloc.ranges import option
 
 _MOST = 10_000_000  # poses in all
@@ -20,7 +20,7 @@ def sample(
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
     out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
-    search: Annotated[Options, Only("method")],
+    search: Annotated[Options, Only("method", "theta_step")],
     chosen: Annotated[Chosen, Only("index")],
     taken: opt.Resources,
     count: Count = option(500, "Poses that are drawn for each scan.", "-n", "--count"),
@@ -40,6 +40,8 @@ def sample(
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibrated
 
+    if search.theta_step is not None and search.method == FUSED:
+        raise ConfigError("--theta-step-deg: fused has no stack of headings")
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
     desk = inputs.desk_of(**vars(taken))
     maps = inputs.map_files()
