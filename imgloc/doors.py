@@ -9,8 +9,6 @@ from typing import Any
 _HOME_OF = {
     "survey_part": "imgloc.lab.atlas",
     "aging_hint": "imgloc.lab.changes",
-    "GridFilter": "imgloc.lab.grid",
-    **dict.fromkeys(("ParticleFilter", "ParticleOptions"), "imgloc.lab.particle"),
 }
 
 #: Commands behind the wall by their names, and their functions.
@@ -47,7 +45,7 @@ def behind(name: str) -> Any:
 
     Examples
     --------
-    >>> behind("GridFilter").__module__
-    'imgloc.lab.grid'
+    >>> behind("aging_hint").__module__
+    'imgloc.lab.changes'
     """
     return getattr(import_module(_HOME_OF[name]), name)

@@ -35,8 +35,7 @@ LEFT = {
     ),
 }
 FITTED = (
-    "EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise", "GridOptions",
-    "ParticleOptions", "ScannedOptions",
+    "EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise",
 )  # fmt: skip
 
 

@@ -210,8 +210,6 @@ class Tracker:
     True
     """
 
-    unsure = ""
-
     def __init__(
         self,
         features: MapFeatures,
