@@ -206,7 +206,7 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
-_SWITCHES, _ENDS = ("--verbose", "-v", "--debug", "--no-cache"), ("--", "--ros-args")
+_SWITCHES, _ENDS = ("--verbose", "-v", "--debug", "--force", "--no-cache"), ("--", "--ros-args")
 _VALUES = ("--threads", "--memory-budget", "--cache")
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
@@ -279,9 +279,9 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
     from imgloc.cli.command import with_options_of_program
-    from imgloc.cli.options import Kept, Resources
+    from imgloc.cli.options import Kept, Overwriting, Resources
 
-    start = with_options_of_program(root, Resources, Kept)
+    start = with_options_of_program(root, Overwriting, Resources, Kept)
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(start)
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."

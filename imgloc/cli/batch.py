@@ -18,7 +18,6 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
 from imgloc.options import (
     NAMED,
-    TOLERANCES,
     Bytes,
     Cell,
     Chosen,
@@ -79,7 +78,6 @@ def batch(
     ),
     cell: Cell = 0.1,
     range_max: Reach | None = None,
-    tolerance: opt.ToleranceOf = TOLERANCES[-1],
     sure: Sure = NAMED,
     pictures: Annotated[str, OneOf("none", "doubtful", "all")] = option(
         "none", "Answers of which pictures are kept."
@@ -132,7 +130,6 @@ def batch(
         "options": search,
         "cell": cell,
         "known": known,
-        "tolerance": tolerance,
         "sure": sure,
         "pictures": pictures,
     }

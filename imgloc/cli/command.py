@@ -44,10 +44,10 @@ GONE: Mapping[str, str] = {
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
-    "--sensor", "--flipped", "--range-max", "--resolution", "--force",
+    "--sensor", "--flipped", "--range-max", "--resolution",
 )  # fmt: skip
 #: Options of the program, which each command that notices them takes, wherever they are typed.
-PROGRAM = ("--threads", "--memory-budget", "--cache", "--no-cache")
+PROGRAM = ("--force", "--threads", "--memory-budget", "--cache", "--no-cache")
 _PROGRAM = "imgloc.program"  # where a context has their texts
 _FIRST, _FEW = 10, 16  # usual options; options of a command that needs no groups
 _PANELS = {
@@ -183,7 +183,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def with_options_of_program(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
-    """Give a function, which is called before each command, the options of these dataclasses."""
+    """Give a function, which is called before each command, the options of these classes."""
     own = list(inspect.signature(function).parameters.values())
     fields = [(_Part("", (), kind), field) for kind in kinds for field in declared(kind)]
 

@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypedDict
 
 from imgloc.cli.command import Given, Only
 from imgloc.errors import ConfigError, MapError
@@ -73,6 +73,14 @@ Picture = Annotated[
     ),
 ]
 Force = Annotated[bool, Option("Overwrite output files that exist.")]
+
+
+class Overwriting(TypedDict, total=False):
+    """What a command may do to files that are there."""
+
+    force: Force
+
+
 AsJson = Annotated[bool, Option("Print JSON instead of text: one object a line.", "--json")]
 Strict = Annotated[bool, Option("Exit with code 6 unless every scan is unique.")]
 Workers = Annotated[
