@@ -159,7 +159,7 @@ def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
         assert row["parameters"]["shared"] == content["shared"]
         assert row["evidence"]["scale"] == content["shared"]["scale"]
     # What is simulated in the map as it is has no such error.
-    quick = ("-n", 1, "--rays", 121, "--method", "fused", "--json", *longer)
+    quick = ("-n", 1, "--method", "fused", "--json", *longer)
     (row,) = rows(call("evaluate", office, *quick).out)
     assert row["parameters"]["shared"] == vars(Shared())
     assert (
