@@ -206,7 +206,10 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
-_SWITCHES, _ENDS = ("--verbose", "-v", "--debug", "--force", "--no-cache"), ("--", "--ros-args")
+_SWITCHES, _ENDS = (
+    ("--verbose", "-v", "--debug", "--json", "--force", "--no-cache"),
+    ("--", "--ros-args"),
+)
 _VALUES = ("--threads", "--memory-budget", "--cache")
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
@@ -279,9 +282,9 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
     from imgloc.cli.command import with_options_of_program
-    from imgloc.cli.options import Kept, Overwriting, Resources
+    from imgloc.cli.options import Kept, Resources, Written
 
-    start = with_options_of_program(root, Overwriting, Resources, Kept)
+    start = with_options_of_program(root, Written, Resources, Kept)
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(start)
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."

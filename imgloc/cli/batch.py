@@ -69,7 +69,7 @@ def batch(
     reading: opt.MapSize,
     logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
-    search: Annotated[Options, Only("method", "top")],
+    search: Annotated[Options, Only("method", "top", "theta_step")],
     known: Annotated[Known, Only("heading", "clearance")],
     scans: Path | None = option(None, "Folder tree of files of scans, or one file.", "[SCANS]"),
     job: Annotated[str, OneOf(*JOBS)] = option(
@@ -102,7 +102,7 @@ def batch(
     retry_failed: bool = option(False, "Go on with the results in DIR, and do failed items again."),
     dry_run: bool = option(False, "Only print what would be done."),
     as_json: opt.AsJson = False,
-    kept: Annotated[opt.Kept, Only("no_cache")],
+    kept: opt.Kept,
 ) -> None:
     """Run one job on every pair of map and scan file: one row each.
 
@@ -127,7 +127,7 @@ def batch(
         "scans": inputs.as_recorded(
             replace(logs, range_max=range_max), chosen, mounting, many=True
         ),
-        "options": search,
+        "options": replace(search, theta_step=None).stepped(search.theta_step),
         "cell": cell,
         "known": known,
         "sure": sure,

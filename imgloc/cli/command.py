@@ -38,16 +38,17 @@ GONE: Mapping[str, str] = {
                     "imgloc convert LOG scans.npz with it makes a file that needs none"),
     **dict.fromkeys(("near", "sd", "clearance", "thinner", "bent", "max-speed", "max-turn-deg",
                      "theta-step-deg", "cell"), "imgloc localize has it"),
+    "tolerance": "imgloc evaluate has it",
     **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),
                     "imgloc simulate has it, and --scans takes the file that it writes"),
 }  # fmt: skip
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
-    "--sensor", "--flipped", "--range-max", "--resolution",
+    "--sensor", "--flipped", "--range-max", "--resolution", "--force",
 )  # fmt: skip
 #: Options of the program, which each command that notices them takes, wherever they are typed.
-PROGRAM = ("--force", "--threads", "--memory-budget", "--cache", "--no-cache")
+PROGRAM = ("--json", "--force", "--threads", "--memory-budget", "--cache", "--no-cache")
 _PROGRAM = "imgloc.program"  # where a context has their texts
 _FIRST, _FEW = 10, 16  # usual options; options of a command that needs no groups
 _PANELS = {
@@ -86,7 +87,11 @@ class Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, the usual options, and the others by what they are about."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        params = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
+        root, noticed = ctx.find_root(), getattr(self.callback, "of_program", ())
+        ours = [p for p in root.command.params if p.opts[0] in noticed] if root is not ctx else []
+        for param in ours:
+            param.rich_help_panel = "Program"
+        params = [(param, param.get_help_record(ctx)) for param in [*self.get_params(ctx), *ours]]
         shown = [(param, record) for param, record in params if record is not None]
         own = {name: record for param, record in shown for name in param.opts}
         first = [own[name] for name in USUAL if name in own][:_FIRST]
@@ -103,8 +108,6 @@ class Command(TyperCommand):
             if records:
                 with formatter.section(title):
                     formatter.write_dl(records)
-        if names := getattr(self.callback, "of_program", ()):
-            formatter.write_text(f"imgloc --help explains {', '.join(sorted(names))}, too.")
 
     def get_params(self, ctx: Any) -> Any:
         """The options, and that for help."""

@@ -73,15 +73,16 @@ Picture = Annotated[
     ),
 ]
 Force = Annotated[bool, Option("Overwrite output files that exist.")]
+AsJson = Annotated[bool, Option("Print JSON instead of text: one object a line.", "--json")]
 
 
-class Overwriting(TypedDict, total=False):
-    """What a command may do to files that are there."""
+class Written(TypedDict, total=False):
+    """The way in which results are written."""
 
+    as_json: AsJson
     force: Force
 
 
-AsJson = Annotated[bool, Option("Print JSON instead of text: one object a line.", "--json")]
 Strict = Annotated[bool, Option("Exit with code 6 unless every scan is unique.")]
 Workers = Annotated[
     Count | None, Option("Processes; no result depends on their number. [default: all processors]")

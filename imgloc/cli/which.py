@@ -46,7 +46,7 @@ def which(
     mounting: Annotated[Mounting, Only("flipped")],
     sure: Sure = NAMED,
     as_json: opt.AsJson = False,
-    kept: Annotated[opt.Kept, Only("no_cache")],
+    kept: opt.Kept,
     force: opt.Force = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
