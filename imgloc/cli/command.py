@@ -39,6 +39,8 @@ GONE: Mapping[str, str] = {
     **dict.fromkeys(("near", "sd", "clearance", "thinner", "bent", "max-speed", "max-turn-deg",
                      "theta-step-deg", "cell"), "imgloc localize has it"),
     "tolerance": "imgloc evaluate has it",
+    "threads": "imgloc localize has it, imgloc batch has --workers",
+    "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
     **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),
                     "imgloc simulate has it, and --scans takes the file that it writes"),
 }  # fmt: skip
@@ -116,13 +118,14 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; an option of other commands is a ConfigError with a hint."""
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
+        own |= getattr(self.callback, "of_program", set())
         lacking = {f"--{name}": hint for name, hint in GONE.items() if f"--{name}" not in own}
         ctx.meta.setdefault(LACKS, {}).update(lacking)
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
             if old in lacking:
                 raise ConfigError(f"{old}: is no option here; {lacking[old]}")
-            if old.lstrip("-") in ("output", "o") and old not in own:
+            if old in ("-o", "-output", "--output") and old not in own:
                 also = ", and --picture FILE draws them" if "--picture" in own else ""
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
                 raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")
@@ -165,7 +168,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     def run(**raw: Any) -> None:
         given = raw[_CONTEXT.name].meta.get(_PROGRAM, {})
         if vain := given.keys() - noticed:
-            raise ConfigError(f"{min(vain)}: this command has no use for it")
+            hint = GONE.get(min(vain)[2:], "this command would not notice it")
+            raise ConfigError(f"{min(vain)}: is no option here; {hint}")
         values: dict[str, Any] = dict.fromkeys(context, raw[_CONTEXT.name])
         typed = Typed()
         with _flags_for(flags):
