@@ -282,7 +282,7 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
     from imgloc.cli.command import with_options_of_program
-    from imgloc.cli.options import Kept, Resources, Written
+    from imgloc.cli.program import Kept, Resources, Written
 
     start = with_options_of_program(root, Written, Resources, Kept)
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(start)

@@ -10,7 +10,7 @@ from imgloc.cli.command import Without
 from imgloc.cli.console import emit, say
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import METHODS, Chosen, MemoryBudget, Options
+from imgloc.options import METHODS, Chosen, Options
 from imgloc.ranges import OneOf, Within, option
 from imgloc.texts import numbers
 
@@ -28,7 +28,7 @@ def check(
         "Write a YAML that reads the map as it is read here. Only imgloc knows the key semantics.",
         metavar="YAML",
     ),
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
@@ -82,7 +82,7 @@ def show(
     method: Annotated[str, OneOf(*METHODS)] = option(
         "cbml", "Algorithm of the paper whose likelihood of the scan is drawn."
     ),
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""

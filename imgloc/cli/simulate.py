@@ -6,7 +6,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import Count, MemoryBudget, Seed, Sensor
+from imgloc.options import Count, Seed, Sensor
 from imgloc.ranges import option
 
 _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
@@ -19,7 +19,7 @@ def simulate(
     sensor: Sensor,
     count: Count = option(100, "Scans that are simulated.", "-n", "--count"),
     seed: Seed = 0,
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
     """Simulate scans at random free poses of a map.

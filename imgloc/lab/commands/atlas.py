@@ -9,7 +9,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.command import Without
 from imgloc.cli.console import emit, progress
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Headings, MemoryBudget, Options, Sensor, Spacing
+from imgloc.options import Headings, Options, Sensor, Spacing
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def atlas(
     step: Spacing = 0.5,
     headings: Headings = 4,
     workers: opt.Workers = None,
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,
 ) -> None:
