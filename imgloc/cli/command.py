@@ -125,7 +125,7 @@ class Command(TyperCommand):
             old = word.partition("=")[0]
             if old in lacking:
                 raise ConfigError(f"{old}: is no option here; {lacking[old]}")
-            if old in ("-o", "-output", "--output") and old not in own:
+            if old[:1] == "-" and old.lstrip("-") in ("output", "o") and old not in own:
                 also = ", and --picture FILE draws them" if "--picture" in own else ""
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
                 raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")
