@@ -6,8 +6,11 @@ No room before the wall imports ``plans`` or ``lab``: whoever needs something of
 from importlib import import_module
 from typing import Any
 
-#: What finds that a map has aged, where scans do not fit it.
-AGING = "imgloc.lab.changes:aging_hint"
+_HOME_OF = {
+    "survey_part": "imgloc.lab.atlas",
+    "aging_hint": "imgloc.lab.changes",
+}
+
 #: Commands behind the wall by their names, and their functions.
 COMMANDS = {
     "align": "imgloc.lab.commands.align:align",
@@ -35,3 +38,14 @@ def opened(place: str) -> Any:
     """
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
+
+
+def behind(name: str) -> Any:
+    """Return the object of that name from its room behind the wall.
+
+    Examples
+    --------
+    >>> behind("aging_hint").__module__
+    'imgloc.lab.changes'
+    """
+    return getattr(import_module(_HOME_OF[name]), name)

@@ -13,7 +13,7 @@ import numpy as np
 
 from imgloc.cli.console import LOG, progress
 from imgloc.cli.options import Kept, MapImages
-from imgloc.doors import AGING, opened
+from imgloc.doors import behind
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.cache import cache_folder, cache_limit
@@ -183,7 +183,7 @@ def aged(
         return None
     scans = [scan for scan, _ in sure]
     poses = np.array([(p.x, p.y, p.theta) for _, p in sure]).reshape(-1, 3)
-    found: Cause | None = opened(AGING)(grid, scans, poses)
+    found: Cause | None = behind("aging_hint")(grid, scans, poses)
     return found if found is None or found.serious or not shared.bent else None
 
 

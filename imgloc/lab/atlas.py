@@ -1,6 +1,7 @@
 """The atlas of a map: where one scan is enough. A scan is simulated and located at every place."""
 
 import math
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -14,7 +15,7 @@ from imgloc.geometry import cell_of, in_map_frame, pose_errors, poses_of
 from imgloc.io.text import csv_text
 from imgloc.lab.bound import least_covariances
 from imgloc.lab.evaluation import share
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import Options, Sensor
 from imgloc.pipeline import localize, prepare
 from imgloc.runs.workers import Supervised
@@ -163,6 +164,76 @@ def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:
         "bound": float(np.median([spot.bound for spot in spots] or [np.nan])),
         "free": vars(share(spot.bound == np.inf for spot in spots)),
     }
+
+
+def survey_part(
+    features: MapFeatures,
+    scan: LaserScan,
+    options: Options,
+    *,
+    step: float,
+    headings: int,
+    start: int = 0,
+    seconds: float = 0.5,
+) -> dict[str, Any]:
+    """Survey a map with the laser of a scan for some seconds: a part of its atlas.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        The map. Rays are cast in its cells.
+    scan : LaserScan
+        A scan of the laser, which gives its angles and its reach.
+    options : Options
+        Options of the search.
+    step : float
+        Metres between two places. Places come in random order, so that each part covers the whole
+        map.
+    headings : int
+        Number of headings at each place.
+    start : int
+        Number of the first pose of this part: ``next`` of the part before.
+    seconds : float
+        Time after which no further pose is begun. A part has at least one pose.
+
+    Returns
+    -------
+    dict
+        ``of`` is the number of all poses. ``next`` is the number of the next pose, or None at the
+        end. ``spots`` has each pose (map frame, metres and radians) with its ``kind``, one of
+        :data:`KINDS`. No result depends on how the poses are divided into parts.
+
+    Raises
+    ------
+    ConfigError, MapError
+        If there are too many poses or none, or `start` is none of their numbers.
+
+    Examples
+    --------
+    >>> from imgloc.io.maps import bundled_maps, load_map
+    >>> features = prepare(load_map(bundled_maps() / "curved.yaml"))
+    >>> laser = LaserScan(np.ones(90), np.linspace(-np.pi, np.pi, 90), range_max=30.0)
+    >>> part = survey_part(features, laser, Options(), step=4.0, headings=1, seconds=0.0)
+    >>> part["next"], [spot["kind"] for spot in part["spots"]]
+    (1, ['unique'])
+    """
+    end, grid = time.monotonic() + seconds, features.grid
+    poses = atlas_poses(grid, step, headings, Sensor().clearance)
+    if start >= len(poses):
+        raise ConfigError(f"start: got {start}, expected less than {len(poses)}")
+    mixed = np.random.default_rng(0).permutation(len(poses) // headings)
+    poses = poses.reshape(-1, headings, 3)[mixed].reshape(-1, 3)
+    reach = scan.range_max if np.isfinite(scan.range_max) else Sensor().range_max
+    options, spots = replace(options, top=TOP), list[dict[str, Any]]()
+    for k in range(start, len(poses)):
+        ranges = simulate_ranges(grid, poses[k : k + 1], scan.angles, range_max=reach, seed=k)[0]
+        seen = LaserScan(ranges, scan.angles, range_max=reach)
+        spot = _spot(features, Pose2D(*poses[k]), seen, options)
+        spots.append({**plain(spot.pose), "kind": spot.kind})
+        if time.monotonic() >= end:
+            break
+    after = start + len(spots)
+    return {"of": len(poses), "next": after if after < len(poses) else None, "spots": spots}
 
 
 def survey(

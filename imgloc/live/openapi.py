@@ -88,6 +88,11 @@ LIKELIHOOD = (
     _own("slice", "Number of the heading, or max for the best over all.",
          Annotated[str, Matches(r"max|\d{1,5}", 5, "a number, or max")], "max"),
 )  # fmt: skip
+ATLAS = (
+    MAP, _HELD, _CHOSEN, *TAKEN,
+    declaration("step", opt.Spacing, 2.0), declaration("headings", opt.Headings, 1),
+    _own("start", "First pose: next of the last answer.", _FIRST, 0),
+)  # fmt: skip
 VISIBILITY = (MAP, _own("at", "x, y, map frame, metres.", tuple[opt.Place, opt.Place], MISSING))
 _TRACK = (
     MAP, *TAKEN,
@@ -291,6 +296,9 @@ OPERATIONS = (
     ),
     Operation("get", "/v1/layers/likelihood", "likelihood", "layers",
               "A likelihood of all poses, at one heading or over all.", "PNG.", _PNG, LIKELIHOOD),
+    Operation("get", "/v1/layers/atlas", "atlas", "layers",
+              "Places where one scan of this laser is enough, some poses at a time.",
+              "Some of the poses, and where to go on.", _OBJECT, ATLAS),
     Operation("get", "/v1/layers/visibility", "visibility", "looks", "The view from a place.",
               "A polygon.", _OBJECT, VISIBILITY),
     Operation("get", "/v1/layers/region", "region", "looks",

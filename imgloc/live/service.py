@@ -30,6 +30,7 @@ from starlette.websockets import WebSocket, WebSocketState
 from imgloc.answers.causes import Given
 from imgloc.answers.diagnose import doubts, is_doubtful
 from imgloc.answers.fit import fit_at
+from imgloc.doors import behind
 from imgloc.errors import ConfigError
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
@@ -638,6 +639,14 @@ class Service:
             return layers.slice_layer(self._stack[1], which)
 
         return _png(await ask.run(drawn))
+
+    async def _atlas(self, ask: Ask) -> Response:
+        site, values = self._site(ask.values["map"])[1], ask.values
+        held, options = self._held(values["scans"]), site.options(self.core.options)
+        how = {key: values[key] for key in ("step", "headings", "start")}
+        survey = behind("survey_part")
+        return JSONResponse(await ask.run(
+            lambda: survey(site.features, _one_of(held, values), options, **how)))  # fmt: skip
 
     async def _visibility(self, ask: Ask) -> Response:
         site = self._site(ask.values["map"])[1]

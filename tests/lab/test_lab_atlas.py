@@ -10,10 +10,11 @@ from command import MAPS, call, rows
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import in_grid_frame
-from imgloc.lab.atlas import COLUMNS, TOP, Spot, as_csv, atlas_poses, survey
+from imgloc.lab.atlas import COLUMNS, TOP, Spot, as_csv, atlas_poses, survey, survey_part
 from imgloc.lab.picture import ATLAS_COLOURS, REDS, draw_atlas
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
+from imgloc.pipeline import prepare
 from imgloc.simulation.scans import ray_angles, simulate_ranges
 
 
@@ -81,6 +82,32 @@ def test_places_are_free_and_clear():
         atlas_poses(grid, 0.5, 1, 9.0)
     with pytest.raises(ConfigError, match="positive step"):
         atlas_poses(grid, 0.0, 1, 0.0)
+
+
+def test_parts_of_a_survey_are_the_whole_whatever_their_length():
+    features = prepare(twin_rooms())
+    laser = LaserScan(np.ones(90), ray_angles(90, 2 * np.pi), range_max=20.0)
+    how = {"step": 2.0, "headings": 2}
+    whole = survey_part(features, laser, Options(), **how, seconds=1e9)
+    assert whole["next"] is None
+    assert whole["of"] == len(whole["spots"]) == len(atlas_poses(features.grid, 2.0, 2, 0.3))
+    parts, start = [], 0
+    while start is not None:
+        part = survey_part(features, laser, Options(), **how, start=start, seconds=0.0)
+        assert len(part["spots"]) == 1
+        parts += part["spots"]
+        start = part["next"]
+    assert parts == whole["spots"]
+    # Twins at x of 5 to 17 m; alone beyond.
+    kinds = {
+        kind: {s["x"] > 17.0 for s in parts if s["kind"] == kind}
+        for kind in ("unique", "ambiguous")
+    }
+    assert kinds == {"unique": {True}, "ambiguous": {False}}
+    with pytest.raises(ConfigError, match="expected less than"):
+        survey_part(features, laser, Options(), **how, start=whole["of"])
+    with pytest.raises(ConfigError, match="poses at places"):
+        survey_part(features, laser, Options(), step=0.05, headings=4)
 
 
 def test_csv_has_named_columns() -> None:

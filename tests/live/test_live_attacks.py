@@ -174,6 +174,17 @@ def test_all_bodies_have_one_budget() -> None:
         waits(lambda: httpx.post(f"{one.address}/v1/scans", json=SCAN).status_code == 201)
 
 
+def test_the_poses_of_an_atlas_are_counted_before_they_are_made() -> None:
+    with served(CURVED, "--memory-budget", "512M") as one:
+        map_, scans = sent_map(one, room(800, 800)), sent_scans(one, json.dumps(SCAN).encode())
+        before = memory(one, "VmHWM")
+        asked = {"map": map_, "scans": scans, "step": 0.05, "headings": 72}
+        answer = httpx.get(f"{one.address}/v1/layers/atlas", params=asked, timeout=60)
+        assert answer.status_code == 422
+        assert "use a larger step" in answer.json()["detail"]
+        assert memory(one, "VmHWM") - before < 50
+
+
 # Connections.
 
 

@@ -423,11 +423,13 @@ def test_layers(page: Any, log: Path) -> None:
     answered(page)
     sync.expect(page.locator("#note")).to_be_hidden()
     shown, chosen = pixels(page), page.get_by_label("Layer on the map")
-    for layer in (*STACKS, "bmap", "vmap", "distance", "visibility"):
+    for layer in (*STACKS, "bmap", "vmap", "distance", "visibility", "atlas"):
         chosen.select_option(layer)
         if layer == "visibility":
             page.mouse.move(500, 450)
-        key = "#layer-hint" if layer in ("visibility", "vmap") else "#scale"
+        key = {"visibility": "#layer-hint", "vmap": "#layer-hint", "atlas": "#atlas-key"}.get(
+            layer, "#scale"
+        )
         sync.expect(page.locator(key)).to_be_visible()
         sync.expect(page.locator("#trouble")).to_be_hidden()
         changed(page, shown)

@@ -30,6 +30,7 @@ from websockets.sync.client import connect
 
 import imgloc
 from imgloc.filters.motion import noisy_odometry
+from imgloc.lab.atlas import survey_part
 from imgloc.live.server import bound
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
@@ -409,6 +410,28 @@ def test_layers_lie_over_the_map(http: httpx.Client, scans: Path) -> None:
     for what in ("vmap", "distance"):
         answer = http.get(f"/v1/layers/{what}?map=visibility")
         assert answer.headers["content-type"] == "image/png"
+
+
+def test_an_atlas_is_that_of_the_laser_of_a_scan(http: httpx.Client, scans: Path) -> None:
+    id_ = http.post("/v1/scans?name=a.npz", content=scans.read_bytes()).json()["id"]
+    asked = {"map": "curved", "scans": id_, "index": "1", "step": 5, "headings": 2}
+    part = http.get("/v1/layers/atlas", params=asked).json()
+    spots = [*part["spots"]]
+    while part["next"] is not None:
+        assert part["next"] == len(spots)
+        part = http.get("/v1/layers/atlas", params={**asked, "start": part["next"]}).json()
+        spots += part["spots"]
+    assert len(spots) == part["of"] > 4
+    features, scan = (
+        imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml")),
+        imgloc.load_scans(scans)[1],
+    )
+    whole = survey_part(features, scan, imgloc.Options(), step=5.0, headings=2, seconds=1e9)
+    assert spots == whole["spots"]
+    wrong = http.get("/v1/layers/atlas", params={**asked, "start": len(spots)})
+    assert "start" in problem(wrong, 422, "bad-options")
+    no_scan = http.get("/v1/layers/atlas?map=curved")
+    assert "scans: missing" in problem(no_scan, 400, "bad-parameter")
 
 
 def test_marked_scans_come_back_with_their_poses(

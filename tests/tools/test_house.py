@@ -9,6 +9,12 @@ from command import ROOT, parsed
 from imgloc import doors
 from tools import house
 
+#: What comes through the doors in the wall by name, beside commands: hints, a survey.
+DOORS = [
+    "aging_hint",
+    "survey_part",
+]
+
 
 def files() -> list[house.File]:
     return house.counted("imgloc")  # counted once, where a test asks
@@ -79,9 +85,17 @@ def test_the_wall_has_no_hole_but_the_doors() -> None:
     assert holes == []
 
 
-@pytest.mark.parametrize("place", [doors.AGING, *doors.COMMANDS.values()])
-def test_every_door_opens(place: str) -> None:
-    assert doors.opened(place).__module__.startswith(("imgloc.plans.", "imgloc.lab."))
+@pytest.mark.parametrize("name", DOORS)
+def test_every_door_opens(name: str) -> None:
+    assert doors.behind(name).__module__.startswith(("imgloc.plans.", "imgloc.lab."))
+
+
+def test_there_are_no_other_doors_and_each_is_used() -> None:
+    assert sorted(doors._HOME_OF) == sorted(DOORS)
+    words = {node.value for file in files() if file.room not in (*house.BEHIND, "doors")
+             for node in ast.walk(parsed(ROOT / file.path))
+             if isinstance(node, ast.Constant) and isinstance(node.value, str)}  # fmt: skip
+    assert words >= set(DOORS)
 
 
 def test_the_way_from_scan_to_answer_fits_a_screen() -> None:

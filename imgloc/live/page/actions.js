@@ -319,9 +319,10 @@ export function stopLayer() {
 
 const draw = api.newest(async (signal) => {
   const { map, layer, slice, scan } = state, likely = METHODS.includes(layer);
-  if (layer !== "visibility") change({ seen: null });
-  if (!map || !layer || layer === "visibility" || (likely && !scan)) {
+  change({ spots: [], ...(layer === "visibility" ? {} : { seen: null }) });
+  if (!map || !layer || layer === "visibility" || layer === "atlas" || (likely && !scan)) {
     change({ picture: null });
+    if (map && layer === "atlas" && scan) await survey(map, scan, signal);
     return;
   }
   const of = { method: layer, slice: slice < 0 ? "max" : slice };
@@ -348,6 +349,27 @@ async function stoppable(what, signal, work) {
     clearInterval(clock);
     change({ waiting: "" });
   }
+}
+
+const PLACES = 300; // of an atlas, about
+const AROUND = 5.5; // radians: a laser that sees so much needs one heading at each place
+
+/** How an atlas is made for a scan's laser: metres between places, and headings at each. */
+export function surveyOf(map, scan) {
+  const step = Math.max(0.5, Math.round(2 * Math.sqrt(map.free_m2 / PLACES)) / 2);
+  const wide = Math.max(...scan.angles) - Math.min(...scan.angles) > AROUND;
+  return { step, headings: wide ? 1 : 4 };
+}
+
+/** Simulate the laser of the scan all over the map, some places at a time. */
+async function survey(map, scan, signal) {
+  for (let start = 0; start !== null && !signal.aborted;) {
+    const part = await attempt("the atlas", () => aboutScans((id) => api.atlas({ ...asked(id), ...surveyOf(map, scan), start }, signal)));
+    if (!part || signal.aborted) break;
+    start = part.next;
+    change({ spots: [...state.spots, ...part.spots], waiting: start === null ? "" : `The atlas: ${start} of ${part.of} poses` });
+  }
+  change({ waiting: "" });
 }
 
 /** Show what is seen from a point. */

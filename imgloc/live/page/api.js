@@ -108,6 +108,9 @@ export const settle = (values) => json(post("v1/settle", values));
 /** What is seen from a point. */
 export const visibility = (map, at) => json(get("v1/layers/visibility", { map, at }));
 
+/** Some spots of the atlas, from the one at `start` on. */
+export const atlas = (values, signal) => json(get("v1/layers/atlas", values, signal));
+
 /** A layer as an image, with what its greys mean. */
 export async function layer(what, values, signal) {
   const response = await get(`v1/layers/${what}`, values, signal);

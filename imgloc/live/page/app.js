@@ -262,7 +262,7 @@ async function start() {
   watch(["scan"], () => { if (actions.METHODS.includes(state.layer)) actions.showLayer(); });
   watch(["set", "index", "following"], showLog);
   watch(["tool"], showTool);
-  watch(["map", "scan", "pose", "fit", "answer", "chosen", "reading", "known", "seen", "beliefs", "marks", "verdicts", "index", "drawn", "cursor", "tool", "layer"], redraw);
+  watch(["map", "scan", "pose", "fit", "answer", "chosen", "reading", "known", "seen", "spots", "beliefs", "marks", "verdicts", "index", "drawn", "cursor", "tool", "layer"], redraw);
   addEventListener("beforeunload", (event) => { if (state.unsaved) event.preventDefault(); });
   onScheme(() => { cells?.repaint(); redraw(); });
   new ResizeObserver(resize).observe($("stage"));

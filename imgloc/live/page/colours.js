@@ -20,7 +20,7 @@ export const colours = () => (dark.matches ? DARK : LIGHT);
 /** Call `listener` when another scheme is asked for. */
 export const onScheme = (listener) => dark.addEventListener("change", listener);
 
-/** What became of a scan; shapes say it, too. */
+/** What became of a scan or of a spot of the atlas; shapes say it, too. */
 export const verdictColour = (verdict) => {
   const { accent, orientation, visibility, unexplained } = colours();
   return { unique: accent, ambiguous: orientation, wrong: visibility }[verdict] ?? unexplained;

@@ -1,6 +1,6 @@
 // What is seen, as a command and as Python: the same answer without the page.
 
-import { METHODS, takenOf } from "./actions.js";
+import { METHODS, surveyOf, takenOf } from "./actions.js";
 import { degrees } from "./geometry.js";
 import { isKnown } from "./known.js";
 import { HAND, numberOf } from "./state.js";
@@ -42,7 +42,7 @@ function knownOptions({ near, region, clearance }) {
 
 /** Commands that show what the page shows. */
 export function command(state) {
-  const { map, set, method, known, layer } = state, files = filesOf(state), index = numberOf();
+  const { map, set, scan, method, known, layer } = state, files = filesOf(state), index = numberOf();
   const taken = takenOptions(state), reading = typedOf(map.options);
   const line = (...words) => words.filter((word) => word !== "").join(" ");
   const lines = [];
@@ -58,6 +58,12 @@ export function command(state) {
   if (METHODS.includes(layer) && set) {
     const drawn = line(...show, "--what likelihood", "--scans", quoted(files.scans), "--scans-index", index, "--method", layer, "--out", `${layer}.png`);
     lines.push(taken.length ? `# imgloc map show takes the scan only as the file has it; “Copy as Python” has ${layer} of this scan.` : drawn);
+  }
+  if (layer === "atlas" && scan) {
+    const { step, headings } = surveyOf(map, scan), wide = Math.max(...scan.angles) - Math.min(...scan.angles);
+    const laser = ["--rays", scan.angles.length, "--fov-deg", number(Math.min(360, degrees(wide)))];
+    if (Number.isFinite(scan.high)) laser.push("--range-max", number(scan.high));
+    lines.push(line("imgloc atlas", quoted(files.map), ...reading, "--step", step, "--headings", headings, ...laser, "--out atlas.png"));
   }
   if (state.beliefs.length) lines.push(line("imgloc track", quoted(files.map), quoted(files.scans), ...reading, ...taken));
   if (!lines.length) lines.push(line("imgloc map check", quoted(files.map), ...reading));

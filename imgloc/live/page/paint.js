@@ -149,6 +149,27 @@ function drawRule(context, view) {
   context.restore();
 }
 
+const SPOTS = { unique: "agrees", ambiguous: "orientation", "no-match": "unexplained", wrong: "visibility" };
+const WORST = Object.keys(SPOTS);
+
+/** The atlas: at each place the worst that one scan says there, in the shapes of readings. */
+function drawSpots(context, view, spots) {
+  const palette = colours(), worst = new Map();
+  for (const { x, y, kind } of spots) {
+    const key = `${x},${y}`, old = worst.get(key);
+    if (!old || WORST.indexOf(kind) > WORST.indexOf(old.kind)) worst.set(key, { x, y, kind });
+  }
+  for (const kind of WORST) {
+    const path = new Path2D();
+    for (const spot of worst.values()) if (spot.kind === kind) shape(path, SPOTS[kind], ...view.pixel(spot.x, spot.y), 4.5);
+    context.lineWidth = 2;
+    context.strokeStyle = palette[SPOTS[kind]];
+    context.fillStyle = palette[SPOTS[kind]];
+    if (kind === "unique" || kind === "ambiguous") context.fill(path);
+    else context.stroke(path);
+  }
+}
+
 /** Where the tracker was sure to be, along the whole log. */
 function drawTrail(context, view, beliefs) {
   const path = new Path2D();
@@ -181,6 +202,7 @@ export function paint(context, view, state, { cells, layer, sketch }) {
     drawCells(context, view, layer.image, map.origin, layer.resolution);
     if (cells) drawCells(context, view, cells.walls, map.origin, map.resolution);
   }
+  drawSpots(context, view, state.spots);
   if (state.seen) {
     polygon(context, view, state.seen.polygon, { fill: palette.accent, stroke: palette.accent });
     const [x, y] = view.pixel(...state.seen.at);

@@ -158,9 +158,10 @@ function showLayerRow() {
     say($("scale-low"), likely ? "least likely" : `${fixed(picture.low, 1)}${unit}`);
     say($("scale-high"), likely ? "most" : `${fixed(picture.high, 1)}${unit}`);
   }
-  $("legend").hidden = $("scale").hidden;
+  $("atlas-key").hidden = layer !== "atlas" || !state.spots.length;
+  $("legend").hidden = $("scale").hidden && $("atlas-key").hidden;
   const hints = { visibility: "Point at the map: what is seen from there.", vmap: "Colour is the direction from which a wall is seen." };
-  const needs = likely && !state.scan ? "It is of a scan: open one." : "";
+  const needs = (likely || layer === "atlas") && !state.scan ? "It is of a scan: open one." : "";
   say($("layer-hint"), needs || (hints[layer] ?? ""));
 }
 
@@ -203,7 +204,7 @@ export function startPanel() {
   watch(["answer", "chosen"], showHypotheses);
   watch(["pose", "fit", "scan", "chosen", "answer", "marks", "index"], showPose);
   watch(["known"], showKnown);
-  watch(["layer", "picture", "slice", "scan"], showLayerRow);
+  watch(["layer", "picture", "slice", "spots", "scan"], showLayerRow);
   watch(["marks", "set"], showMarks);
   watch(["blank"], () => {
     say($("blank"), state.blank);

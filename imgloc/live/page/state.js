@@ -32,6 +32,7 @@ export const state = {
   layer: "",
   slice: -1, // of a layer with headings; -1 is the best of all
   picture: null, // the layer: {image, resolution, low, high, slices, theta}
+  spots: [], // of the atlas: {x, y, theta, kind}
   seen: null, // what is seen from a point: {at, polygon, surface}
   beliefs: [], // of the tracker, by index
   following: null, // the WebSocket of the tracker while it runs
