@@ -207,10 +207,8 @@ def _followed(
     from imgloc.answers.logcheck import FOLLOWED
     from imgloc.answers.scanmotion import AGREES
     from imgloc.cli.inputs import aged_along
-    from imgloc.filters.follow import follow
+    from imgloc.filters.follow import Tracking, follow
     from imgloc.filters.motion import increments
-    from imgloc.filters.tracker import Tracker
-    from imgloc.options import Every
 
     doubted = any(found.code == "disagree" for found in report.findings)
     wrong = any(f.serious or (f.options and f.code != "disagree") for f in report.findings)
@@ -218,12 +216,12 @@ def _followed(
     if wrong or not report.can_be_followed or not placed["unique"] or scans.odom is None:
         return report
     some = scans.take(np.flatnonzero(np.isfinite(scans.odom).all(axis=1)).tolist())
-    every = Every()
+    tracking = Tracking()
     x, y, turn = increments(np.asarray(some.odom)).T
-    gone = np.hypot(x, y) / every.metres + np.abs(turn) / every.radians
+    gone = np.hypot(x, y) / tracking.every.metres + np.abs(turn) / tracking.every.radians
     gone = np.floor(np.append(0.0, gone.cumsum()))
     some = some.take(np.unique(gone, return_index=True)[1][:_MOST].tolist())
-    robot = Tracker(features, options)
+    robot = tracking.made(features, options)
     try:
         moments = list(follow(features, some, robot))
     except ScanError:  # stamps that are no seconds, for one: whoever tracks is told

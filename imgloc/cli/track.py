@@ -169,8 +169,7 @@ def track(
     from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
     from imgloc.filters.deviation import deviation_of
-    from imgloc.filters.follow import follow
-    from imgloc.filters.tracker import Tracker
+    from imgloc.filters.follow import Tracking, follow
     from imgloc.io.calibration import calibrated
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
@@ -188,9 +187,10 @@ def track(
     features = desk.features(map_path, maps, options, scans=scans.scans)
     check_options(features, options)
     scans = with_true_poses(scans, grid, inputs.name_of(log))
-    chosen = Tracker(features, options)
+    tracking = Tracking(**vars(followed))
+    chosen = tracking.made(features, options)
     run = follow(
-        features, live or scans, chosen, every=followed.every, limits=followed.limits,
+        features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
         start=asked.start, name=inputs.name_of(log),
     )  # fmt: skip
     with contextlib.ExitStack() as undo:

@@ -99,8 +99,12 @@ class Tracking(Followed):
 
     def follower(self, features: MapFeatures, options: Options, name: str = "log") -> "Follower":
         """Make the follower that takes the scans of one robot; errors call the log `name`."""
-        made = Tracker(features, options)
+        made = self.made(features, options)
         return Follower(features, made, every=self.every, limits=self.limits, name=name)
+
+    def made(self, features: MapFeatures, options: Options) -> Filter:
+        """Make a filter that has seen nothing yet."""
+        return Tracker(features, options)
 
 
 def follow(

@@ -8,8 +8,7 @@ import numpy as np
 
 from imgloc.features.floor import as_located
 from imgloc.features.scanpoints import evenly
-from imgloc.filters.follow import Moment, follow, moves
-from imgloc.filters.tracker import Tracker
+from imgloc.filters.follow import Moment, Tracking, follow, moves
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.changes import sure_poses
 from imgloc.model import FloatArray, LaserScan, Pose2D, compose
@@ -84,7 +83,7 @@ def placed(run: Locating, most: int, once: Once) -> Placed:
 
 def _followed(run: Locating, most: int, once: Once) -> Placed:
     """The whole log is followed; only scans that no file before had count."""
-    scans, made = run.taken.scans, Tracker(run.features, run.options)
+    scans, made = run.taken.scans, Tracking().made(run.features, run.options)
     new, sure = set(once.new(scans.scans, run.taken.name)), list[Moment]()
     with run.desk.progress("track", len(scans)) as advance:
         for moment in follow(run.features, scans, made, name=run.taken.name):
