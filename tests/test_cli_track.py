@@ -299,8 +299,8 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--max-sd", "0,10"], 2, "--max-sd: got 0.0, expected metres, 0.001 to "),
         (["--max-sd", "1"], 2, "2 numbers"),
         (["--tum", "a.txt"], 2, "ends in .tum"),
-        (["--video", "a.avi"], 2, "a.avi: expected a name that ends in .webm"),
-        (["--ros", "a.json"], 2, "a.json: expected a name that ends in .yaml"),
+        (["--video", "a.avi"], 2, "a.avi: expected a name that ends in .webm or .mp4"),
+        (["--ros", "a.json"], 2, "a.json: expected a name that ends in .yaml or .bag"),
     ],
     ids=str,
 )

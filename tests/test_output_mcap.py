@@ -129,7 +129,7 @@ def test_uneven_angles_are_those_of_the_nearest_rays() -> None:
 
 def test_without_rosbags_one_error_says_what_to_install(tmp_path, log) -> None:
     program = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['rosbags.rosbag2'] = None\n"
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['rosbags.rosbag1'] = None\n"
         f"import imgloc.cli.app as a\n"
         f"a.main(['track', {str(MAP)!r}, {str(log)!r}, '--mcap', {str(tmp_path / 'o.mcap')!r}])"
     )

@@ -4,16 +4,19 @@ import numpy as np
 import pytest
 import yaml
 
+from imgloc.errors import OutputError
 from imgloc.filters.belief import Belief
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.model import Pose2D
 from imgloc.output.ros import (
     ARRAY,
+    GUESSES,
     POSE,
     Message,
     containing_diagonal,
     message,
+    write_bag,
     yaml_text,
 )
 
@@ -72,3 +75,28 @@ def test_yaml_is_read_back() -> None:
     messages = [m for v in ("unique", "ambiguous", "lost") if (m := message(moment(v), ORIGIN))]
     read = [d for d in yaml.safe_load_all(yaml_text(messages)) if d]
     assert read == [one.body for one in messages]
+
+
+def test_a_bag_is_read_back_by_rosbags(tmp_path) -> None:
+    highlevel = pytest.importorskip("rosbags.highlevel", reason="needs the extra ros")
+    messages = [
+        m
+        for k, v in enumerate(("unique", "ambiguous"))
+        if (m := message(moment(v, 5.5 + k), ORIGIN))
+    ]
+    path = tmp_path / "out.bag"
+    guess = message(moment("lost", 7.5), ORIGIN, best=True)
+    assert guess is not None
+    write_bag(path, [*messages, guess])
+    with highlevel.AnyReader([path]) as bag:
+        got = [(c.topic, t, bag.deserialize(raw, c.msgtype)) for c, t, raw in bag.messages()]
+    assert [(topic, t) for topic, t, _ in got] == [
+        ("/initialpose", 5_500_000_000), ("/imgloc/hypotheses", 6_500_000_000),
+        (GUESSES, 7_500_000_000),
+    ]  # fmt: skip
+    body = messages[0][1]["pose"]
+    assert got[0][2].pose.pose.position.x == body["pose"]["position"]["x"]
+    np.testing.assert_array_equal(got[0][2].pose.covariance, body["covariance"])
+    assert len(got[1][2].poses) == 2
+    with pytest.raises(OutputError, match="exists"):
+        write_bag(path, messages)

@@ -43,7 +43,7 @@ class Outputs:
         None,
         "Write ROS messages into this file: PoseWithCovarianceStamped while the pose is unique, "
         "PoseArray while several places fit.",
-        metavar="YAML",
+        metavar="YAML|BAG",
     )
     best: bool = option(
         False,
@@ -53,7 +53,8 @@ class Outputs:
     picture: Path | None = option(None, "Draw the path over the map into this file.", metavar="PNG")
     video: Path | None = option(
         None,
-        "Draw the belief over time into this file: WebM, which browsers play.",
+        "Draw the belief over time into this file: WebM, which browsers play, or MP4, which they "
+        "do not.",
         metavar="WEBM",
     )
     truth: Path | None = option(
@@ -76,8 +77,8 @@ class Outputs:
         from imgloc.cli import inputs
 
         files = (
-            (self.tum, ".tum"), (self.ros, ".yaml"), (self.picture, ".png"),
-            (self.video, ".webm"), (self.mcap, ".mcap"),
+            (self.tum, ".tum"), (self.ros, (".yaml", ".bag")), (self.picture, ".png"),
+            (self.video, (".webm", ".mp4")), (self.mcap, ".mcap"),
         )  # fmt: skip
         read = [*read, *([] if self.truth is None else [self.truth])]
         for path, expected in files:
@@ -88,7 +89,7 @@ class Outputs:
         movie: "Video | None", recording: "Recording | None", title: str,
     ) -> None:  # fmt: skip
         """Write them; `truth` are known poses (N, 3) of the robot at the moments."""
-        from imgloc.output.ros import message, yaml_text
+        from imgloc.output.ros import message, write_bag, yaml_text
         from imgloc.output.tracks import draw_track, tum_text
 
         force = self.force
@@ -96,8 +97,11 @@ class Outputs:
             write_text_atomic(self.tum, tum_text(moments, best=self.best), force=force)
         if self.ros is not None:
             found = (message(m, grid.origin, best=self.best) for m in moments)
-            text = yaml_text(given for given in found if given is not None)
-            write_text_atomic(self.ros, text, force=force)
+            messages = [given for given in found if given is not None]
+            if self.ros.suffix.lower() == ".bag":
+                write_bag(self.ros, messages, force=force)
+            else:
+                write_text_atomic(self.ros, yaml_text(messages), force=force)
         if self.picture is not None:
             draw_track(grid, moments, truth, title).save(self.picture, force=force)
         if self.video is not None and movie is not None:
@@ -195,7 +199,7 @@ def track(
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
         title = f"{map_name(map_path)}: {inputs.name_of(log)}"
-        movie = Video(features, title) if outputs.video else None
+        movie = Video(features, video.suffix.lower(), title) if (video := outputs.video) else None
         recording = None if outputs.mcap is None else Recording(grid, scans.lasers)
         shown, seen = list[Any](), scans.scans.__getitem__ if live is None else live.last
         if movie is not None:

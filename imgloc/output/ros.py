@@ -1,4 +1,4 @@
-"""Tracks as ROS messages: what `/initialpose` of AMCL accepts, in YAML, and recordings of ROS 2.
+"""Tracks as ROS messages: what `/initialpose` of AMCL accepts, in YAML or a bag.
 
 One pose is a PoseWithCovarianceStamped; while several places fit it is a PoseArray of all of them.
 AMCL takes the diagonal of a covariance for the variances of its particles, and refuses values
@@ -19,11 +19,13 @@ import yaml
 from imgloc.errors import OutputError
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
+from imgloc.io.files import PathLike, write_bytes_atomic
 from imgloc.io.messages import header_fields, pose_fields
 from imgloc.model import FloatArray, Pose2D
 
 POSE, ARRAY = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray"
 TOPICS = {POSE: "/initialpose", ARRAY: "/imgloc/hypotheses"}
+GUESSES = "/imgloc/guess"  #: topic of poses that are not unique
 
 
 class Message(NamedTuple):
@@ -96,7 +98,7 @@ def yaml_text(messages: Iterable[Message]) -> str:
 
 
 class Bag:
-    """A recording of messages of ROS 2 while it is made, as MCAP.
+    """A recording of messages while it is made: MCAP of ROS 2, or a ROS 1 bag.
 
     Use it in a ``with`` block: what was recorded is dropped at its end.
 
@@ -106,17 +108,20 @@ class Bag:
         If rosbags is not installed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ending: str = ".mcap") -> None:
         try:
-            ros2, typesys = (
-                importlib.import_module(f"rosbags.{n}") for n in ("rosbag2", "typesys")
+            ros1, ros2, typesys = (
+                importlib.import_module(f"rosbags.{name}")
+                for name in ("rosbag1", "rosbag2", "typesys")
             )
         except ImportError:
             raise OutputError("bags need rosbags: pip install 'imgloc[ros]'") from None
-        self._store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        stores, self._old, self._count = typesys.Stores, ending == ".bag", 0
+        self._store = typesys.get_typestore(stores.ROS1_NOETIC if self._old else stores.ROS2_HUMBLE)
         self._folder = tempfile.TemporaryDirectory()
-        self._path, mcap = Path(self._folder.name, "track"), ros2.StoragePlugin.MCAP
-        self._bag: Any = ros2.Writer(self._path, version=9, storage_plugin=mcap)
+        self._path = Path(self._folder.name, f"track{ending}")
+        mcap = {"version": 9, "storage_plugin": ros2.StoragePlugin.MCAP}
+        self._bag: Any = ros1.Writer(self._path) if self._old else ros2.Writer(self._path, **mcap)
         self._bag.open()
         self._to: dict[str, Any] = {}
 
@@ -124,13 +129,17 @@ class Bag:
         """Add a message of some seconds; fields that are not given are zeros."""
         if topic not in self._to:
             self._to[topic] = self._bag.add_connection(topic, kind, typestore=self._store)
-        data = bytes(self._store.serialize_cdr(filled(self._store, kind, fields), kind))
+        if "header" in fields:  # a message of ROS 1 has a number
+            fields = {**fields, "header": {**fields["header"], "seq": self._count}}
+        self._count += 1
+        pack = self._store.serialize_ros1 if self._old else self._store.serialize_cdr
+        data = bytes(pack(filled(self._store, kind, fields), kind))
         self._bag.write(self._to[topic], round(1e9 * seconds), data)
 
     def content(self) -> bytes:
         """End the recording; return its file."""
         self._end()
-        (file,) = self._path.glob("*.mcap")
+        (file,) = [self._path] if self._old else self._path.glob("*.mcap")
         return file.read_bytes()
 
     def __enter__(self) -> "Bag":
@@ -149,6 +158,15 @@ class Bag:
         bag, self._bag = self._bag, None
         if bag is not None:
             bag.close()
+
+
+def write_bag(path: PathLike, messages: Iterable[Message], *, force: bool = False) -> None:
+    """Write messages as a ROS 1 bag, whole or not at all; guesses have a topic of their own."""
+    with Bag(".bag") as bag:
+        for kind, body, guess in messages:
+            sec, nanosec = body["header"]["stamp"].values()
+            bag.write(GUESSES if guess else TOPICS[kind], kind, sec + 1e-9 * nanosec, body)
+        write_bytes_atomic(path, bag.content(), force=force)
 
 
 def filled(store: Any, kind: str, given: Mapping[str, Any]) -> Any:

@@ -45,6 +45,7 @@ START: Colour = PALETTE[2]
 SCAN: Colour = PALETTE[3]
 OFF: Colour = PALETTE[0]  #: of the way that a robot was carried
 _SIDE = 960  # pixels of the longer side of the map of a video at most
+_CODECS = {".webm": "VP80", ".mp4": "mp4v"}
 _STEP = 3.0  # metres from scan to scan that are drawn as one way
 _MINUTES = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0)  # seconds between marks of time
 _MARKS = 12  # of them at most
@@ -242,7 +243,7 @@ def _draw_belief(canvas: Picture, belief: Belief) -> None:
 class Video:
     """The belief over time, one frame a scan: the scan, the trail and all places that may be it.
 
-    It is WebM with VP8, which browsers play.
+    WebM with VP8, which browsers play; MP4 (MPEG-4 part 2), which they do not, by the name.
 
     Raises
     ------
@@ -250,7 +251,7 @@ class Video:
         From :meth:`save`, if OpenCV here cannot write such videos, or the file cannot be written.
     """
 
-    def __init__(self, features: MapFeatures, title: str = "") -> None:
+    def __init__(self, features: MapFeatures, ending: str = ".webm", title: str = "") -> None:
         grid = features.grid
         large = map_canvas(grid, building(grid))
         shrink = min(1.0, _SIDE / max(large.image.shape[:2]))
@@ -272,9 +273,9 @@ class Video:
         around = ((0, 28 + height % 2), (0, width % 2), (0, 0))
         self._sheet = np.pad(sheet.image, around, constant_values=255)
         self._begin, self._last = math.nan, list[Moment]()  # the last unique one
-        handle, self._path = tempfile.mkstemp(suffix=".webm")
+        handle, self._path = tempfile.mkstemp(suffix=ending)
         os.close(handle)
-        fourcc = cv2.VideoWriter.fourcc(*"VP80")
+        fourcc = cv2.VideoWriter.fourcc(*_CODECS[ending])
         with quiet_libraries():  # FFmpeg says that it does not know the tag, and writes it
             self._writer = cv2.VideoWriter(self._path, fourcc, 10.0, self._sheet.shape[1::-1])
 
@@ -311,7 +312,8 @@ class Video:
         data = Path(self._path).read_bytes()
         self.close()
         if not good or not data:
-            raise OutputError(f"{display(path)}: OpenCV here cannot write WebM")
+            ending = Path(path).suffix.lower()
+            raise OutputError(f"{display(path)}: OpenCV here cannot write {ending} videos")
         write_bytes_atomic(path, data, force=force)
 
     def close(self) -> None:
