@@ -15,11 +15,11 @@ from .errors import ScanError as ScanError
 from .features.mapfeatures import MapFeatures as MapFeatures
 from .filters.belief import Belief as Belief
 from .filters.belief import Filter as Filter
+from .filters.choose import make_filter as make_filter
 from .filters.follow import Moment as Moment
 from .filters.follow import Tracking as Tracking
 from .filters.follow import follow as follow
 from .filters.scanodometry import ScanOdometry as ScanOdometry
-from .filters.tracker import Tracker as Tracker
 from .io.mapcheck import MapReport as MapReport
 from .io.mapcheck import check_map as check_map
 from .io.maps import load_map as load_map

@@ -9,6 +9,8 @@ from typing import Any
 _HOME_OF = {
     "survey_part": "imgloc.lab.atlas",
     "aging_hint": "imgloc.lab.changes",
+    "GridFilter": "imgloc.lab.grid",
+    **dict.fromkeys(("ParticleFilter", "ParticleOptions"), "imgloc.lab.particle"),
 }
 
 #: Commands behind the wall by their names, and their functions.
@@ -45,7 +47,7 @@ def behind(name: str) -> Any:
 
     Examples
     --------
-    >>> behind("aging_hint").__module__
-    'imgloc.lab.changes'
+    >>> behind("GridFilter").__module__
+    'imgloc.lab.grid'
     """
     return getattr(import_module(_HOME_OF[name]), name)

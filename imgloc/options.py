@@ -912,10 +912,14 @@ class Sensor(Checked):
         check_mount(self.mount, "`sensor`")
 
 
+FILTERS = ("tracker", "grid", "particle")
+
+
 @dataclass(frozen=True)
 class Followed(Checked):
     """The way in which a robot is followed."""
 
+    filter: Annotated[str, OneOf(*FILTERS)] = option("tracker", "Filter that follows the robot.")
     every: Every = option(
         Every(),
         "Weigh all places by a scan each time the robot has gone M metres or turned DEG degrees; "
@@ -931,6 +935,7 @@ class Followed(Checked):
         metavar="M,DEG",
         parse=lambda text: Limits(*metres_degrees(text)),
     )
+    seed: Seed = 0
 
 
 @dataclass(frozen=True)

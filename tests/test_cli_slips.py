@@ -13,8 +13,8 @@ from command import MAPS, call, rows
 from places import drive
 
 from imgloc.errors import ConfigError
+from imgloc.filters.choose import make_filter
 from imgloc.filters.follow import follow
-from imgloc.filters.tracker import Tracker
 from imgloc.io.cache import cache_limit
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
@@ -159,7 +159,7 @@ def test_odometry_that_starts_late_costs_only_the_scans_before_it(
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
     features = prepare(load_map(MAP))
     with caplog.at_level(logging.WARNING):
-        moments = list(follow(features, got, Tracker(features, Options())))
+        moments = list(follow(features, got, make_filter("tracker", features, Options())))
     assert [moment.index for moment in moments] == [3, 4, 5]
     assert said in caplog.text
 

@@ -13,6 +13,7 @@ import pytest
 from command import MAPS, call, rows
 from places import drive
 
+from imgloc.filters.choose import FILTERS
 from imgloc.filters.motion import noisy_odometry
 from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.images import read_image
@@ -301,6 +302,7 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--tum", "a.txt"], 2, "ends in .tum"),
         (["--video", "a.avi"], 2, "a.avi: expected a name that ends in .webm or .mp4"),
         (["--ros", "a.json"], 2, "a.json: expected a name that ends in .yaml or .bag"),
+        (["--filter", "kalman"], 2, "kalman"),
     ],
     ids=str,
 )
@@ -336,8 +338,11 @@ def test_odometry_that_leaves_the_earth_is_refused(log: Path, tmp_path: Path, fa
     data = dict(np.load(log))
     data["odom"][3, 0] = far
     np.savez(tmp_path / "far.npz", **data)
-    run = call("track", MAP, tmp_path / "far.npz").ends(4, "far.npz: odom[3]: it is ", out="")
-    assert "expected at most 1,000,000 m; the log is damaged" in run.err
+    for name in FILTERS:
+        run = call("track", MAP, tmp_path / "far.npz", "--filter", name)
+        assert (run.code, run.out) == (4, ""), run.err
+        assert "far.npz: odom[3]: it is " in run.err
+        assert "expected at most 1,000,000 m; the log is damaged" in run.err
 
 
 def test_true_poses_are_those_of_the_scans_that_have_odometry(log: Path, tmp_path: Path) -> None:
@@ -360,3 +365,15 @@ def test_a_true_trajectory_is_read_first_and_never_overwritten(tmp_path: Path, l
     run = call("track", MAPS / "visibility.yaml", log, "--truth", truth)
     assert (run.code, run.out) == (4, "")  # before the log is followed
     assert "no stamp is within 0.01 s of a scan" in run.err
+
+
+def test_a_filter_that_is_never_sure_on_a_map_says_so(shared: Path, tmp_path: Path) -> None:
+    log = np.load(shared / "data/wean/scans.npz")
+    some = {k: log[k][:1] for k in ("ranges", "poses", "odom", "stamps")}
+    bounds = {k: log[k] for k in ("angles", "range_min", "range_max")}
+    np.savez(tmp_path / "log.npz", **some, **bounds)
+    plan = shared / "data/wean/map.yaml"
+    told = "the walls of this map are drawn 0.5 m thick, so no pose of --filter particle is unique"
+    for options, warned in ((), True), (("--bent", "0.1"), False):
+        run = call("track", plan, tmp_path / "log.npz", "--filter", "particle", *options).ends(0)
+        assert (told in run.err) == warned

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import MAPS, call, rows
-from places import error, features_of
+from places import POSES, error, features_of
 
+from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, search, sight, view_of
 from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, noisy_odometry
-from imgloc.filters.tracker import Tracker
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose
 from imgloc.options import Every, Options
@@ -95,9 +95,10 @@ def test_two_lasers_find_what_one_does_not(tmp_path: Path) -> None:
     call(*words, "--topic", "FLASER,RLASER", "--sensor", "0.1,0,0").ends(2, "several lasers")
 
 
-def test_the_filter_follows_the_robot_not_its_lasers() -> None:
+@pytest.mark.parametrize("name", ["tracker", "particle", "grid"])
+def test_every_filter_follows_the_robot_not_its_lasers(name: str) -> None:
     features, scans = features_of("visibility"), log(FRONT, REAR)
-    chosen = Tracker(features, Options(), find=lambda _: NO_PLACES)
+    chosen = make_filter(name, features, Options(), seed=1, find=lambda _: NO_PLACES)
     start = Pose2D(*PATH[0])
     moments = list(follow(features, scans, chosen, start=start, deviation=(0.2, 0.1)))
     truth = robot_poses(scans)
@@ -106,6 +107,21 @@ def test_the_filter_follows_the_robot_not_its_lasers() -> None:
     worst = max(error(m.best, t)[0] for m, t in zip(moments, truth, strict=True) if m.best)
     assert worst < 0.25
     assert all(m.metres == n.metres for m, n in zip(moments[::2], moments[1::2], strict=True))
+
+
+def test_a_grid_is_filled_with_places_of_the_robot() -> None:
+    """The likelihood of the sensor's poses, moved to where the robot is then."""
+    features, mount = features_of("curved"), Pose2D(0.5, 0.3, 1.2)
+    pose, angles = POSES["curved"], np.deg2rad(np.arange(-180, 180, 3.0))
+    ranges = simulate_ranges(
+        render(WORLDS["curved"](), 0.05), at(np.array([pose]), mount), angles, range_max=30.0
+    )
+    scan = LaserScan(ranges[0], angles, range_max=30.0, T_base_laser=mount)
+    for name in ("grid", "particle"):
+        chosen = make_filter(name, features, Options(), seed=1)
+        chosen.see(scan)
+        away = [math.hypot(x - pose[0], y - pose[1]) for x, y, _ in chosen.belief.poses]
+        assert min(away[:3]) < 0.35, name
 
 
 def test_a_lever_is_in_the_covariance() -> None:
@@ -131,7 +147,7 @@ def test_one_laser_sees_for_both() -> None:
         replace(scan, ranges=np.full_like(scan.ranges, np.nan)) if k % 2 == 0 and k >= 4 else scan
         for k, scan in enumerate(scans.scans)
     ]
-    chosen = Tracker(features, Options(), find=lambda _: NO_PLACES)
+    chosen = make_filter("tracker", features, Options(), find=lambda _: NO_PLACES)
     half = replace(scans, scans=tuple(some))
     moments = list(follow(features, half, chosen, start=Pose2D(*PATH[0]), deviation=(0.2, 0.1)))
     assert {m.withheld for m in moments} <= {"", "unconfirmed"}
@@ -146,6 +162,6 @@ def test_one_laser_sees_for_both() -> None:
 def test_each_laser_is_looked_at_by_its_own_way() -> None:
     features, scans = features_of("visibility"), log(FRONT, REAR)
     found = search(features, scans[0], Options())
-    chosen = Tracker(features, Options(), find=lambda _: found)
+    chosen = make_filter("tracker", features, Options(), find=lambda _: found)
     run = follow(features, scans, chosen, every=Every(0.9, 9.0), start=Pose2D(*PATH[0]))
     assert [m.looked for m in run][:6] == [True, True, False, False, True, True]

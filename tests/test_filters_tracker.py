@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from places import ANGLES, POSES, drive, features_of
 
+from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
-from imgloc.filters.belief import deviations_of
+from imgloc.filters.belief import Followed, belief_of, deviations_of
+from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
 from imgloc.filters.follow import Follower, follow
 from imgloc.filters.motion import compose_poses
@@ -18,6 +20,7 @@ from imgloc.geometry import transform_poses, wrap
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
+from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Every, Options, Shared
 from imgloc.pipeline import prepare
@@ -60,7 +63,7 @@ def found(scan):
 
 
 def tracker_of(find=found, **how):
-    return Tracker(features_of(WORLD), Options(), find=find, **how)
+    return make_filter("tracker", features_of(WORLD), Options(), find=find, **how)
 
 
 @cache
@@ -126,7 +129,7 @@ def test_a_turn_confirms_a_place_as_far_as_it_shows_what_was_out_of_view(view, b
         for k, (r, mount) in enumerate(zip(ranges, mounts, strict=True))
     ]  # fmt: skip
     turning = ScanSet(tuple(scans), poses, np.arange(10.0), poses)
-    tracker = Tracker(features_of("curved"), Options())
+    tracker = make_filter("tracker", features_of("curved"), Options())
     moments = list(follow(features_of("curved"), turning, tracker))
     assert any(m.belief.verdict == "unique" for m in moments) == told
     assert max(errors(moments[-5:], turning)) < 0.2
@@ -165,9 +168,11 @@ def carried_off(scans, chosen):
     return moments
 
 
-def test_a_kidnapping_is_noticed_at_once_and_recovered_from() -> None:
-    scans = log()
-    moments = carried_off(scans, tracker_of())
+@pytest.mark.parametrize("name", ["tracker", "particle"])
+def test_a_kidnapping_is_noticed_at_once_and_recovered_from(name: str) -> None:
+    scans, features = log(), features_of(WORLD)
+    chosen = make_filter(name, features, Options(), seed=1, find=found)
+    moments = carried_off(scans, chosen)
     away = errors(moments, scans)
     assert all(m.belief.verdict != "unique" for m, e in zip(moments, away, strict=True) if e > 1)
     assert max(away[18:]) < 0.5
@@ -288,13 +293,14 @@ def shortened(scans: ScanSet, factor: float) -> ScanSet:
     return replace(scans, scans=tuple(scan.scaled(factor) for scan in scans.scans))
 
 
-def test_what_is_known_of_the_scale_is_used() -> None:
+@pytest.mark.parametrize("name", ["tracker", "particle", "grid"])
+def test_what_is_known_of_the_scale_is_used(name: str) -> None:
     features = features_of(WORLD)
     truth = transform_poses(inverse(features.grid.origin), log().poses)[0]
     known = Options(shared=Shared(1 / 0.9))
     beliefs = []
     for scans, options in ((log(), Options()), (shortened(log(), 0.9), known)):
-        chosen = Tracker(features, options, find=lambda _: NO_PLACES)
+        chosen = make_filter(name, features, options, find=lambda _: NO_PLACES)
         chosen.place(truth, (0.1, 0.05))
         chosen.see(scans[0])
         assert not chosen.watch(scans[0])
@@ -303,15 +309,16 @@ def test_what_is_known_of_the_scale_is_used() -> None:
 
 
 def test_walls_that_are_known_to_be_too_thick_are_thinner() -> None:
-    chosen = Tracker(features_of(WORLD), Options(shared=Shared(1.0, 1)))
-    walls = np.count_nonzero(chosen.features.grid.occupied)
-    assert 0 < walls < np.count_nonzero(features_of(WORLD).grid.occupied)
+    for name in ("tracker", "particle", "grid"):
+        chosen = make_filter(name, features_of(WORLD), Options(shared=Shared(1.0, 1)))
+        walls = np.count_nonzero(chosen.features.grid.occupied)
+        assert 0 < walls < np.count_nonzero(features_of(WORLD).grid.occupied)
 
 
 def test_bent_walls_are_found_along_the_way_and_the_belief_begins_again(monkeypatch) -> None:
     monkeypatch.setattr("imgloc.filters.tracker.wall_evidence", lambda *_: BENT_WALLS)
     bad = replace(Options(), fused=replace(Options().fused, strained=0.0))  # no scan fits
-    tracker = Tracker(features_of(WORLD), bad)
+    tracker = make_filter("tracker", features_of(WORLD), bad)
     tracker.how = replace(tracker.how, walls=(2, 2.5), sure=(100.0, 100.0))  # never unique
     carried, step = np.array([*log().poses[0, :2], 0.0]), np.array([0.5, 0.0, 0.02])
     tracker.place(carried, (0.3, 0.1))
@@ -331,7 +338,7 @@ def test_bent_walls_are_found_along_the_way_and_the_belief_begins_again(monkeypa
 @pytest.mark.parametrize("strained", [0.0, 0.5])
 def test_a_given_pose_holds_unless_a_scan_fits_well_elsewhere(strained: float) -> None:
     options = replace(Options(), fused=replace(Options().fused, strained=strained))
-    tracker = Tracker(features_of(WORLD), options, find=found)
+    tracker = make_filter("tracker", features_of(WORLD), options, find=found)
     given = np.array([5.0, 9.0, 2.0])
     tracker.place(given, (0.1, 0.1))
     tracker.see(log().scans[0])
@@ -349,6 +356,20 @@ def test_evidence_is_new_more_slowly_on_bent_walls() -> None:
     assert shares[1] == pytest.approx(1 / 6)
     bent.place(log().poses[0], (0.1, 0.1))
     assert bent._fresh(Laser(way=way)) == pytest.approx(1 / 3)
+
+
+def test_what_particles_are_drawn_from_has_a_shared_error_once(monkeypatch) -> None:
+    features, asked = features_of(WORLD), list[tuple[int, Shared]]()
+
+    def drawn(there, scan, n, rng, options):
+        asked.append((int(there.grid.occupied.sum()), options.shared))
+        return sample_poses(there, scan, n, rng, options)
+
+    monkeypatch.setattr("imgloc.lab.particle.sample_poses", drawn)
+    options = Options(shared=Shared(1.05, 1))
+    particles = ParticleFilter(features, options, ParticleOptions(reset_by="fused"))
+    particles.see(log()[0].scaled(1 / 1.05))
+    assert asked == [(int(features.thinner(1).grid.occupied.sum()), Shared())]
 
 
 def test_a_scale_is_found_along_the_way_and_only_where_there_is_one() -> None:
@@ -415,10 +436,11 @@ def test_odometry_that_is_often_wrong_is_trusted_less() -> None:
 
 def test_scans_that_say_nothing_leave_the_belief_alone() -> None:
     blind = LaserScan(np.full(90, np.inf), np.linspace(-1, 1, 90), range_max=9.0)
-    chosen = Tracker(features_of(WORLD), Options())
-    chosen.see(blind)
-    assert not chosen.watch(blind)
-    assert chosen.belief.verdict == "lost"
+    for name in ("tracker", "particle", "grid"):
+        chosen = make_filter(name, features_of(WORLD), Options())
+        chosen.see(blind)
+        assert not chosen.watch(blind)
+        assert chosen.belief.verdict == "lost"
 
 
 def blinked(scans: ScanSet, *at: int) -> ScanSet:
@@ -517,7 +539,7 @@ def test_on_the_map_of_another_building_a_place_that_fits_for_a_while_is_not_uni
     """Before, 7 of these scans were, with masses up to 1: a corridor fitted for 4 m."""
     scans = load_scans(shared / "data" / "raw" / "belgioioso.log").take(range(160))
     features = prepare(load_map(shared / "data" / "fr079" / "map.yaml"))
-    moments = follow(features, scans, Tracker(features, Options()))
+    moments = follow(features, scans, make_filter("tracker", features, Options()))
     assert not [m.index for m in moments if m.pose is not None]
 
 
@@ -565,16 +587,19 @@ def test_refuses_logs_that_cannot_be_followed() -> None:
         next(follow(features, back, Tracker(features)))
     with pytest.raises(ConfigError, match="metres"):
         Every(-1.0)
+    with pytest.raises(ConfigError, match="one of tracker, grid, particle"):
+        make_filter("kalman", features, Options())
 
 
 def test_runs_are_the_same_every_time() -> None:
     scans, features = piece(log(), range(6)), features_of(WORLD)
 
-    def run() -> list:
-        chosen = Tracker(features, Options())
+    def run(name: str) -> list:
+        chosen = make_filter(name, features, Options(), seed=3)
         return [(m.best, m.belief.verdict) for m in follow(features, scans, chosen)]
 
-    assert run() == run()
+    for name in ("tracker", "particle"):
+        assert run(name) == run(name)
 
 
 @pytest.mark.parametrize("by", [1e-9, 1e-6, 1e-3])
@@ -586,7 +611,79 @@ def test_a_mount_that_trembles_changes_no_verdict(by: float) -> None:
 
     def verdicts(scans: ScanSet) -> list[tuple[str, str]]:
         features = features_of(WORLD)
-        made = Tracker(features, Options())
+        made = make_filter("tracker", features, Options())
         return [(m.belief.verdict, m.withheld) for m in follow(features, scans, made)]
 
     assert verdicts(replace(some, scans=shaken)) == verdicts(some)
+
+
+def test_particles_are_as_many_as_they_need_to_be() -> None:
+    how = ParticleOptions(least=50, most=1500)
+    scans, features = piece(log(), range(9)), features_of(WORLD)
+    particles = ParticleFilter(features, how=how)
+    moments = list(follow(features, scans, particles))
+    assert 50 <= len(particles.poses) < 600
+    assert errors(moments, scans)[-1] < 0.4
+    with pytest.raises(ConfigError, match="particles"):
+        ParticleFilter(features, how=ParticleOptions(least=9, most=8))
+
+
+def test_kld_bound_is_that_of_the_chi_square() -> None:
+    # Fox 2003: 1 / (2 error) times the quantile of chi-square with bins - 1 degrees of freedom.
+    assert kld_bound(21, 0.1, 1.6449) == pytest.approx(31.41 / 0.2, rel=0.01)
+
+
+def test_low_variance_draws_as_often_as_expected() -> None:
+    weights = np.array([0.1, 0.25, 0.05, 0.6])
+    counts = np.bincount(low_variance(weights, 1000, np.random.default_rng(0)), minlength=4)
+    assert np.abs(counts - 1000 * weights).max() <= 1
+
+
+def test_places_join_across_the_seam_of_the_circle() -> None:
+    poses = np.array([[0, 0, np.pi - 0.05], [0, 0, -np.pi + 0.05], [5, 5, 0.0]])
+    belief = belief_of(
+        poses, np.array([0.4, 0.4, 0.2]), sure=0.7, lost=False, doubted=False, neff=2, resets=0
+    )
+    assert belief.verdict == "unique"
+    assert abs(abs(belief.poses[0, 2]) - np.pi) < 1e-9
+    doubted = belief_of(
+        poses, np.array([0.4, 0.4, 0.2]), sure=0.7, lost=False, doubted=True, neff=2, resets=0
+    )
+    assert doubted.verdict == "ambiguous"
+
+
+def test_another_best_place_is_followed_anew() -> None:
+    followed, step = Followed(), np.array([0.5, 0.0, 0.0])
+    for k in range(4):
+        followed.best(np.array([0.5 * k, 0.1, 0.0]))
+        followed.move(step)
+    assert followed.metres == pytest.approx(2.0)
+    followed.best(np.array([9.0, 0.0, 0.0]))
+    assert followed.metres == 0
+
+
+def test_a_few_stamps_that_go_back_are_sorted_and_a_clock_set_back_is_refused(caplog) -> None:
+    scans, features = log(), features_of(WORLD)
+    order = [*range(10), 11, 10, *range(12, len(scans))]
+    moments = list(follow(features, scans.take(order), Tracker(features), name="a.npz"))
+    assert [moment.index for moment in moments] == [*range(10), 11, 10, *range(12, len(scans))]
+    assert [moment.stamp for moment in moments] == scans.stamps.tolist()
+    assert "the stamp of scan 11, 10.00, is 1 s before that of scan 10, 11.00" in caplog.text
+    swapped = scans.stamps.copy()
+    swapped[[10, 11]] = swapped[[11, 10]]
+    moments = list(follow(features, replace(scans, stamps=swapped), Tracker(features)))
+    assert [moment.index for moment in moments] == list(range(len(scans)))
+    assert [moment.stamp for moment in moments[9:13]] == [9, 11, 11, 12]
+    set_back = np.where(np.arange(len(scans)) > 12, scans.stamps - 9.5, scans.stamps)
+    back = ScanSet(scans.scans, scans.poses, set_back, scans.odom)
+    with pytest.raises(ScanError, match=r"stamps\[13\]: 3.50 after 12.00, 8.5 s back, expected"):
+        next(follow(features, back, Tracker(features)))
+
+
+def test_scans_without_odometry_are_left_out_alone(caplog) -> None:
+    scans, features = log(), features_of(WORLD)
+    odom = scans.odom.copy()
+    odom[[4, 7]] = np.nan
+    some = ScanSet(scans.scans, scans.poses, scans.stamps, odom)
+    assert len(list(follow(features, some, Tracker(features)))) == len(scans) - 2
+    assert "2 of 24 scans, from 4 to 7, have no odometry" in caplog.text

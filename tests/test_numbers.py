@@ -35,7 +35,8 @@ LEFT = {
     ),
 }
 FITTED = (
-    "EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise",
+    "EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise", "GridOptions",
+    "ParticleOptions", "ScannedOptions",
 )  # fmt: skip
 
 

@@ -12,6 +12,8 @@ from imgloc import options as module
 from imgloc.errors import ConfigError
 from imgloc.filters.motion import MotionNoise
 from imgloc.filters.tracker import TrackerOptions
+from imgloc.lab.grid import GridOptions
+from imgloc.lab.particle import ParticleOptions
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.options import (
     Bending,
@@ -40,9 +42,9 @@ from imgloc.ranges import Checked
 from imgloc.runs.jobs import make_job
 from imgloc.runs.opening import ScanFiles
 
-SHOWN = (Chosen, Drawn, Every, Known, Limits, Logs, Mounting, PlanWalls, Sensor)
+SHOWN = (Chosen, Drawn, Every, Followed, Known, Limits, Logs, Mounting, PlanWalls, Sensor)
 KINDS = (Bending, Calibration, EvidenceModel, FusedOptions, Hint, Options, Prior, Shared, Trust)
-OTHERS = (MotionNoise, TrackerOptions, ScanFiles)
+OTHERS = (GridOptions, MotionNoise, ParticleOptions, TrackerOptions, ScanFiles)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +79,10 @@ OTHERS = (MotionNoise, TrackerOptions, ScanFiles)
         (lambda: Prior(heading=(0.0, 1.0)) | Prior(), "`|` joins hints: expected poses with `sd`"),
         (lambda: Prior(weights=np.array([[2.0]])), "Prior.weights: expected 0 to 1"),
         (lambda: TrackerOptions(agree=(2, 0)), "TrackerOptions.agree[1]: got (2, 0)"),
+        (
+            lambda: GridOptions(method="fused"),
+            "GridOptions.method: got 'fused', expected one of cb",
+        ),
         (lambda: Every(-1), "Every.metres: got -1"),
         (lambda: Sensor(outliers=2), "Sensor.outliers: got 2, expected a share"),
         (lambda: make_job("sweep"), "job: got 'sweep', expected one of localize"),
@@ -114,7 +120,7 @@ def test_no_number_of_options_may_be_nan(kind: type) -> None:
 def test_all_options_are_checked() -> None:
     kinds = [v for v in vars(module).values() if isinstance(v, type) and is_dataclass(v)]
     named = {kind for kind in kinds if kind.__module__ == module.__name__}
-    assert named == {*KINDS, *SHOWN, Followed, Method, Tolerance}
+    assert named == {*KINDS, *SHOWN, Method, Tolerance}
     assert all(issubclass(kind, Checked) for kind in (*KINDS, *SHOWN, *OTHERS, Tolerance))
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc import Options, ScanSet, Tracker
+from imgloc import Options, ScanSet, make_filter
 from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses
 from imgloc.io.files import write_text_atomic
@@ -146,7 +146,7 @@ def measure_log(
     searches = Searches(features, options, keep)
 
     def make() -> Filter:
-        return Tracker(features, options, find=searches)
+        return make_filter("tracker", features, options, seed=seed, find=searches)
 
     for kind in kinds:
         for far in metres:

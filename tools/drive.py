@@ -15,7 +15,7 @@ import numpy as np
 import PIL.Image
 from skimage.graph import route_through_array
 
-from imgloc import Options, Picture, ScanSet, Tracker, follow, prepare, save_scans
+from imgloc import Options, Picture, ScanSet, follow, make_filter, prepare, save_scans
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import centre_of, transform_poses
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
@@ -87,7 +87,7 @@ def drive(seed: int = 1) -> ScanSet:
 def draw_drive(log: ScanSet) -> Picture:
     """The track that the tracker makes of the log."""
     features = prepare(render(WORLDS[WORLD](), 0.1))
-    moments = list(follow(features, log, Tracker(features, Options())))
+    moments = list(follow(features, log, make_filter("tracker", features, Options())))
     return draw_track(features.grid, moments, log.poses)
 
 
@@ -97,7 +97,7 @@ def frames_of(log: ScanSet) -> list[Image]:
     video = Video(features, title="lost, found, carried off, found again")
     video.close()
     video._writer = cast("Any", SimpleNamespace(write=frames.append, release=lambda: None))
-    for moment in follow(features, log, Tracker(features, Options())):
+    for moment in follow(features, log, make_filter("tracker", features, Options())):
         video.add(moment, log[moment.index])
     return frames
 

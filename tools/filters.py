@@ -20,10 +20,10 @@ import imgloc
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
+from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
 from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
-from imgloc.filters.tracker import Tracker
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import Share, share
@@ -263,6 +263,7 @@ class Trials:
     kidnaps: int = 20
     seed: int = 0
     seconds: float = 30.0
+    reset_by: str = "ght-v"  #: method whose p(x | z) new particles are drawn from
     every: Every = field(default_factory=Every)
 
     def at(self, scans: ScanSet) -> list[int]:
@@ -278,13 +279,14 @@ class Trials:
 def measure(
     features: MapFeatures,
     scans: ScanSet,
+    name: str,
     trials: Trials,
     options: Options,
     *,
     searches: "Searches | None" = None,
     advance: Callable[[], None] = lambda: None,
 ) -> "SequenceSummary":
-    """Measure the tracker on a log with poses and odometry.
+    """Measure the filter called `name` on a log with poses and odometry.
 
     `searches` has the searches of earlier measurements of the same scans. `advance` is called after
     each run.
@@ -292,7 +294,10 @@ def measure(
     found = searches or Searches(features, options)
 
     def make() -> Filter:
-        return Tracker(features, options, find=found)
+        return make_filter(
+            name, features, options, seed=trials.seed, reset_by=trials.reset_by,
+            find=found,
+        )  # fmt: skip
 
     runs, kidnaps = list[Run](), list[Run]()
     rng = np.random.default_rng((trials.seed, 1))

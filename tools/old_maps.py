@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc import Options, ScanSet, Tracker, load_map, load_scans, localize
+from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
 from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses
 from imgloc.geometry import pose_errors, poses_of
@@ -70,7 +70,7 @@ def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:
     for name, scans in logs_of(folder):
 
         def make() -> Filter:
-            return Tracker(features, options)
+            return make_filter("tracker", features, options)
 
         poses = robot_poses(scans)
         known = Searches(features, options)  # its clock; the tracker searches by itself

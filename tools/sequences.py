@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc import Options, Picture, ScanSet, Tracker, follow, load_map, load_scans
+from imgloc import Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.io.files import write_text_atomic
@@ -30,6 +30,7 @@ from tools.script import parser_of, progress, table_lines
 
 NEAR, VIEW, STOPPED = 5.0, float(np.deg2rad(90.0)), 0.3
 LAG = 0.4  # seconds
+_GRID_CELL = 0.2
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,9 @@ class Case:
     """A filter, and what is done to the scans."""
 
     name: str
+    filter: str = "tracker"
     scans: str = "as recorded"
+    reset_by: str = "ght-v"
 
 
 CASES = (
@@ -45,6 +48,9 @@ CASES = (
     Case("tracker, 5 m and 90 deg", scans="near"),
     Case("tracker, 30 % stopped short", scans="stopped"),
     Case("tracker, odometry lags", scans="lagging"),
+    Case("particle, GHT-V", "particle"),
+    Case("particle, CBML", "particle", reset_by="cbml"),
+    Case("grid", "grid"),
 )
 
 
@@ -99,15 +105,19 @@ def measure_log(
 ) -> Iterator[dict[str, Any]]:
     """The rows of one log."""
     options, (grid, recorded, odometry) = Options(), load_log(folder, trials.seed)
-    features = prepare(grid, folder.name)
+    fine, coarse = prepare(grid, folder.name), prepare(grid, folder.name, cell=_GRID_CELL)
     kept: dict[str, tuple[ScanSet, Searches]] = {}
     for case in cases:
         if case.scans not in kept:
             some = changed(recorded, case.scans, trials.seed)
-            kept[case.scans] = some, Searches(features, options, keep)
+            kept[case.scans] = some, Searches(fine, options, keep)
         scans, searches = kept[case.scans]
+        features = coarse if case.filter == "grid" else fine
+        how = replace(trials, reset_by=case.reset_by)
         try:
-            summary = measure(features, scans, trials, options, searches=searches, advance=advance)
+            summary = measure(
+                features, scans, case.filter, how, options, searches=searches, advance=advance
+            )
         finally:  # who stops it goes on from there another day
             searches.save()
         about = {"map": folder.name, "filter": case.name}
@@ -156,7 +166,7 @@ def draw_log(folder: Path) -> Picture:
     """The track of a log over its map."""
     grid, scans, _ = load_log(folder)
     features = prepare(grid, folder.name)
-    moments = list(follow(features, scans, Tracker(features, Options())))
+    moments = list(follow(features, scans, make_filter("tracker", features, Options())))
     return draw_track(grid, moments, scans.poses)
 
 

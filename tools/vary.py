@@ -1,7 +1,7 @@
 """A tool with one number of ``numbers.json`` at another value.
 
     python -m tools.vary floorplan.soft 1.0 tools.plans --sheets "escape plan,small house" -n 20
-    python -m tools.vary TrackerOptions.walls 3 2.5 tools.sequences ../data/fr079 --cases tracker
+    python -m tools.vary GridOptions.share 0.9 tools.sequences ../data/fr079 --cases grid
     python -m tools.vary align.slack 0.3 tools.maps align ../data/*/map.yaml
 
 The value is in the units of that file; lists are in brackets. Beside it stands what the tool prints

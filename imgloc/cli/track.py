@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from imgloc.answers.causes import Cause
     from imgloc.cli.live import Live
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.filters.follow import Moment
+    from imgloc.filters.belief import Filter
+    from imgloc.filters.follow import Moment, Tracking
     from imgloc.filters.watch import Opinion
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, OccupancyGrid
@@ -192,7 +193,7 @@ def track(
     check_options(features, options)
     scans = with_true_poses(scans, grid, inputs.name_of(log))
     tracking = Tracking(**vars(followed))
-    chosen = tracking.made(features, options)
+    chosen = _made(tracking, features, options, map_name(map_path))
     run = follow(
         features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
         start=asked.start, name=inputs.name_of(log),
@@ -239,6 +240,17 @@ def _warn(hint: "Cause | None", aged: "Cause | None") -> None:
     helps = hint is not None and hint.found and hint.code != "bent"
     if said := aged if aged and (not hint or (aged.serious and not helps)) else hint:
         LOG.warning("%s", said.said)
+
+
+def _made(tracking: "Tracking", features: "MapFeatures", options: Options, name: str) -> "Filter":
+    """The filter; a warning if no pose of it can be ``unique`` on the map of this name."""
+    made = tracking.made(features, options)
+    if made.unsure:
+        LOG.warning(
+            "%s: %s, so no pose of --filter %s is unique; the tracker allows for it, and --bent 0 "
+            "says that walls are straight", name, made.unsure, tracking.filter,
+        )  # fmt: skip
+    return made
 
 
 def _truth_of(

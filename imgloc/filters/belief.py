@@ -5,10 +5,13 @@ from typing import Protocol
 
 import numpy as np
 
-from imgloc.geometry import pose_errors
+from imgloc.filters.motion import compose_poses
+from imgloc.geometry import pose_errors, wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
+from imgloc.search.hypotheses import separated
+from imgloc.search.weigh import MODES
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
 
@@ -49,6 +52,7 @@ class Filter(Protocol):
     """
 
     options: Options  #: options of the search, with the scale of the scans as estimated so far
+    unsure: str  #: why no pose is ever ``unique`` on this map; empty if one may be
 
     def move(
         self, increment: FloatArray, covariance: FloatArray | None = None, *, known: bool = True
@@ -83,3 +87,84 @@ PLACE = number("belief.place")
 def one_place(a: Pose2D, b: Pose2D) -> bool:
     """Return whether two poses of one frame belong to one place."""
     return bool((pose_errors(np.array([*a]), b) < PLACE).all())
+
+
+def belief_of(
+    poses: FloatArray,
+    mass: FloatArray,
+    *,
+    sure: float,
+    lost: bool,
+    doubted: bool,
+    neff: float,
+    resets: int,
+) -> Belief:
+    """Join many weighted poses into places, the heaviest first.
+
+    Parameters
+    ----------
+    poses : (N, 3) float array
+        Grid frame: metres, metres, radians.
+    mass : (N,) float array
+        Probability of each pose.
+    sure : float
+        Mass, 0..1, from which the first place is ``unique``, unless it is `doubted`.
+    lost : bool
+        Whether the best place does not explain the scan.
+    doubted : bool
+        Whether the best place fits much worse than usual.
+    neff : float
+        Effective number of poses, for the record.
+    resets : int
+        Number of times that the filter added places from p(x | z), for the record.
+
+    Examples
+    --------
+    >>> poses = np.array([[0, 0, 3.1], [0.1, 0, -3.1], [9, 9, 0.0]])
+    >>> b = belief_of(poses, np.array([0.5, 0.3, 0.2]), sure=0.9, lost=False, doubted=False,
+    ...               neff=3, resets=0)
+    >>> b.verdict, b.mass.tolist(), b.poses.round(2).tolist()[0]
+    ('ambiguous', [0.8, 0.2], [0.04, 0.0, 3.13])
+    """
+    picked, owner = separated(poses, MODES, distance=PLACE[0], angle=PLACE[1])
+    means, spreads, masses = [], [], []
+    for place, first in enumerate(picked):
+        mine = owner == place
+        weight = mass[mine] / max(1e-300, mass[mine].sum())
+        apart = poses[mine] - poses[first]
+        apart[:, 2] = wrap(apart[:, 2])
+        mean = weight @ apart
+        rest = apart - mean
+        means.append(poses[first] + mean)
+        spreads.append((rest * weight[:, None]).T @ rest + np.diag([1e-4, 1e-4, 1e-5]))
+        masses.append(mass[mine].sum())
+    shares = np.array(masses)
+    order = np.argsort(-shares, kind="stable")
+    out = np.array(means).reshape(-1, 3)[order]
+    out[:, 2] = wrap(out[:, 2])
+    verdict = LOST if lost or not len(order) else AMBIGUOUS
+    if verdict == AMBIGUOUS and not doubted and shares[order[0]] >= sure:
+        verdict = UNIQUE
+    covariance = np.array(spreads).reshape(-1, 3, 3)[order]
+    away = max(0.0, 1 - float(shares.sum()))
+    return Belief(out, shares[order], covariance, away, verdict, neff, resets)
+
+
+class Followed:
+    """Counts the metres for which odometry has carried one best place."""
+
+    def __init__(self) -> None:
+        self.metres = 0.0
+        self._pose: FloatArray | None = None
+
+    def move(self, increment: FloatArray) -> None:
+        """Move the best place by a motion (3,): metres, metres, radians."""
+        self.metres += float(np.hypot(*increment[:2]))
+        if self._pose is not None:
+            self._pose = compose_poses(self._pose, increment)
+
+    def best(self, pose: FloatArray) -> None:
+        """Set the best pose (3,), grid frame; another place starts the count again."""
+        if self._pose is None or not (pose_errors(pose, self._pose) < PLACE).all():
+            self.metres = 0.0
+        self._pose = pose

@@ -10,6 +10,7 @@ import numpy as np
 from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
+from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import DEVIATION, usable
 from imgloc.filters.motion import (
     Way,
@@ -21,7 +22,7 @@ from imgloc.filters.motion import (
 )
 from imgloc.filters.repeats import Repeats, dragged, frozen, smooth
 from imgloc.filters.scanodometry import APART, ScanOdometry
-from imgloc.filters.tracker import Tracker, TrackerOptions
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D, Protection
@@ -104,7 +105,7 @@ class Tracking(Followed):
 
     def made(self, features: MapFeatures, options: Options) -> Filter:
         """Make a filter that has seen nothing yet."""
-        return Tracker(features, options)
+        return make_filter(self.filter, features, options, seed=self.seed)
 
 
 def follow(
@@ -163,7 +164,7 @@ def follow(
     >>> import imgloc
     >>> from imgloc.io.maps import bundled_maps
     >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
-    >>> robot = imgloc.Tracker(features, imgloc.Options())
+    >>> robot = imgloc.make_filter("tracker", features, imgloc.Options())
     >>> driver = ((scan, np.zeros(3)) for scan in imgloc.simulate(features.grid, 2, seed=1).scans)
     >>> [moment.belief.verdict for moment in follow(features, driver, robot)]
     ['ambiguous', 'ambiguous']
@@ -276,7 +277,7 @@ class Follower:
     >>> import imgloc
     >>> from imgloc.io.maps import bundled_maps
     >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
-    >>> robot = Follower(features, imgloc.Tracker(features, imgloc.Options()))
+    >>> robot = Follower(features, imgloc.make_filter("tracker", features, imgloc.Options()))
     >>> moment = robot.step(imgloc.simulate(features.grid, 1, seed=1)[0], np.zeros(3))
     >>> moment.index, moment.looked, moment.pose
     (0, True, None)

@@ -210,6 +210,8 @@ class Tracker:
     True
     """
 
+    unsure = ""
+
     def __init__(
         self,
         features: MapFeatures,

@@ -20,10 +20,10 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly, one_per_place
+from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import misfit_near, view_of
 from imgloc.filters.follow import UNCONFIRMED, follow
 from imgloc.filters.motion import increments
-from imgloc.filters.tracker import Tracker
 from imgloc.geometry import in_grid_frame, inside
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import cell_of_pose
@@ -306,7 +306,7 @@ def fit_along(
     known, metres = replace(options, shared=walls), 0.0
     there, misfits = features.thinner(walls.thinner), list[float]()
     for piece in joined:
-        robot, before = Tracker(features, known), 0.0
+        robot, before = make_filter("tracker", features, known), 0.0
         for moment in follow(features, piece, robot):
             # Whether it is this building is not asked: whoever calibrates a map says so.
             if moment.pose is not None or moment.withheld == UNCONFIRMED:

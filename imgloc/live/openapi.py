@@ -95,7 +95,7 @@ ATLAS = (
 )  # fmt: skip
 VISIBILITY = (MAP, _own("at", "x, y, map frame, metres.", tuple[opt.Place, opt.Place], MISSING))
 _TRACK = (
-    MAP, *TAKEN,
+    MAP, *TAKEN, option(opt.Followed, "filter"), option(opt.Followed, "seed"),
     _own("start", "Rough pose at the beginning: x, y, yaw.", Pose2D, parse=pose),
     _own("places", "Add the places of the belief to each line.", bool, False),
 )  # fmt: skip

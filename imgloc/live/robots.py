@@ -72,8 +72,9 @@ class Robots:
         session, robot, seconds = self._begun(name), None, self._bounds.seconds
         try:
             site = find()
+            tracking = Tracking(filter=values["filter"], seed=values["seed"])
             clock = Heard()  # the robot's own: what is ahead of this one is no error
-            robot = await asyncio.to_thread(self._core.robot, name, Tracking(), clock=clock)
+            robot = await asyncio.to_thread(self._core.robot, name, tracking, clock=clock)
             if values["start"] is not None:
                 await self._lane.run(partial(robot.start_at, values["start"]), seconds)
             offered = socket.scope.get("subprotocols", [])

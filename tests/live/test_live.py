@@ -133,7 +133,7 @@ def test_an_answer_is_that_of_localize_and_says_whose_it_is(
 
 def test_update_is_follow(core: Localizer, log: ScanSet) -> None:
     features = imgloc.prepare(imgloc.load_map(MAPS / "visibility.yaml"))
-    filter_ = imgloc.Tracker(features, Options())
+    filter_ = imgloc.make_filter("tracker", features, Options())
     alone = [moment_row(m) for m in imgloc.follow(features, log, filter_)]
     assert log.odom is not None
     core.reset("visibility")
@@ -187,9 +187,12 @@ def made_lazily(features: MapFeatures) -> dict[int, set[str]]:
     }
 
 
-def test_nothing_is_made_of_a_map_after_it_is_ready(scans: list[LaserScan]) -> None:
+@pytest.mark.parametrize("tracking", [Tracking(), Tracking("grid")])
+def test_nothing_is_made_of_a_map_after_it_is_ready(
+    scans: list[LaserScan], tracking: Tracking
+) -> None:
     features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
-    with Localizer(features) as core:
+    with Localizer(features, tracking=tracking) as core:
         assert core.ready
         before = made_lazily(features)
         rng = np.random.default_rng(1)

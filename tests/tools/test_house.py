@@ -9,10 +9,13 @@ from command import ROOT, parsed
 from imgloc import doors
 from tools import house
 
-#: What comes through the doors in the wall by name, beside commands: hints, a survey.
+#: What comes through the doors in the wall by name, beside commands: filters, hints, a survey.
 DOORS = [
     "aging_hint",
     "survey_part",
+    "GridFilter",
+    "ParticleFilter",
+    "ParticleOptions",
 ]
 
 

@@ -39,10 +39,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_table_and_a_track(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = f"x {folder} --out {tmp_path} --starts 1 --seconds inf --kidnaps 0 --metres 2"
-    monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker;tracker, 5*"])
+    monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker;particle, G*"])
     sequences.main()
     rows = [json.loads(line) for line in (tmp_path / "sequences.jsonl").read_text().splitlines()]
-    names = ["tracker", "tracker, 5 m and 90 deg"]
+    names = ["tracker", "particle, GHT-V"]
     assert [row["filter"] for row in rows] == names
     assert all(row["odometry"].startswith("of the poses") for row in rows)
     assert rows[0]["right"]["1"]["value"] == 1.0
@@ -63,7 +63,7 @@ def test_searches_that_are_shared_change_nothing_but_the_time(folder: Path, tmp_
             return self.anew(scan)[0]
 
     def run(searches: Searches) -> dict[str, object]:
-        found = asdict(measure(features, log, trials, Options(), searches=searches))
+        found = asdict(measure(features, log, "tracker", trials, Options(), searches=searches))
         return {key: repr(value) for key, value in found.items() if key != "speed"}
 
     expected = run(Forgets(features, Options()))

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc import Options, Pose2D, ScanSet, Tracker, follow, load_map, load_scans, prepare
+from imgloc import Options, Pose2D, ScanSet, follow, load_map, load_scans, make_filter, prepare
 from imgloc.geometry import pose_errors
 from imgloc.model import FloatArray
 
@@ -81,7 +81,7 @@ def ending(processes: Iterable["subprocess.Popen[bytes]"]) -> Iterator[None]:
 def true_poses(map_path: Path, log: ScanSet, start: Pose2D) -> FloatArray:
     """Poses (N, 3) of the robot's base: a filter that is told where it starts follows the log."""
     features = prepare(load_map(map_path))
-    chosen = Tracker(features, Options())
+    chosen = make_filter("tracker", features, Options())
     moments = follow(features, log, chosen, start=start, deviation=(0.3, 0.1))
     found = np.array([(m.index, *m.best) for m in moments if m.best is not None])
     # Scans without odometry are left out; each of them stands for the next one that is not.
