@@ -283,6 +283,7 @@ def test_the_command_makes_and_uses_an_index(site: Path) -> None:
         (["{}/s.npz", "--region", "a.png"], "No such option: --region"),
         ([], "expected scans"),
         (["{}/s.npz", "--maps-index", "{}/index.txt"], "ends in .npz"),
+        (["{}/s.npz", "--clearance", "90"], "--clearance: no map has a place"),
         (["{}/s.npz", "--picture", "{}/floors/post.png", "--force"], "will not be overwritten"),
     ],
 )
@@ -300,7 +301,7 @@ def test_what_cannot_be_meant_is_refused(words: list[str], said: str, site: Path
 def test_priors_that_many_maps_share(site: Path) -> None:
     truth = np.load(site / "s.npz")["poses"][0, 2]
     given = ("which", site / "floors", site / "s.npz", "--json")
-    told = rows(call(*given, "--heading", f"{truth},0.1").out)[0]
+    told = rows(call(*given, "--heading", f"{truth},0.1", "--clearance", 0.1).out)[0]
     assert told["verdict"] == "post"
     for row in told["maps"]:
         if row["pose"] is not None:

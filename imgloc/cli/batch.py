@@ -18,6 +18,7 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
 from imgloc.options import (
     NAMED,
+    TOLERANCES,
     Bytes,
     Cell,
     Chosen,
@@ -78,6 +79,7 @@ def batch(
     ),
     cell: Cell = 0.1,
     range_max: Reach | None = None,
+    tolerance: opt.ToleranceOf = TOLERANCES[-1],
     sure: Sure = NAMED,
     pictures: Annotated[str, OneOf("none", "doubtful", "all")] = option(
         "none", "Answers of which pictures are kept."
@@ -130,6 +132,7 @@ def batch(
         "options": replace(search, theta_step=None).stepped(search.theta_step),
         "cell": cell,
         "known": known,
+        "tolerance": tolerance,
         "sure": sure,
         "pictures": pictures,
     }

@@ -38,7 +38,6 @@ GONE: Mapping[str, str] = {
                     "imgloc convert LOG scans.npz with it makes a file that needs none"),
     **dict.fromkeys(("near", "sd", "clearance", "thinner", "bent", "max-speed", "max-turn-deg",
                      "theta-step-deg", "cell"), "imgloc localize has it"),
-    "tolerance": "imgloc evaluate has it",
     "threads": "imgloc localize has it, imgloc batch has --workers",
     "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
     **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Only
+from imgloc.cli.command import Only, Without
 from imgloc.cli.console import FAILED_ROWS, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
@@ -21,7 +21,7 @@ def which(
         "Folder tree of maps: map_server YAML; with --resolution also images without one.",
         "MAPS_DIR",
     ),
-    known: Annotated[Known, Only("heading")],
+    known: Annotated[Known, Without("near", "sd")],
     reading: opt.MapSize,
     logs: opt.LogTaken,
     taken: opt.Resources,

@@ -20,7 +20,7 @@ from imgloc.doors import JOBS, opened
 from imgloc.errors import ConfigError
 from imgloc.geometry import pose_errors
 from imgloc.model import Pose2D, plain
-from imgloc.options import TOLERANCES
+from imgloc.options import Tolerance
 from imgloc.ranges import Checked, OneOf
 from imgloc.runs.opening import Desk, MapFiles
 
@@ -139,12 +139,12 @@ def make_job(name: str = "localize", **options: Any) -> Job:
     return job_class(name)(**options)
 
 
-def compared(poses: Any, truth: Pose2D | None) -> dict[str, Any]:
+def compared(poses: Any, truth: Pose2D | None, tolerance: Tolerance) -> dict[str, Any]:
     """Errors of the first pose (N, 3) of an answer; nothing if the true one is unknown."""
     if truth is None:
         return {}
     errors = pose_errors(poses[:1], truth)
-    near = TOLERANCES[-1].position, TOLERANCES[-1].heading
+    near = (tolerance.position, tolerance.heading)
     hit = bool(len(errors) and (errors[0] <= near).all())
     position, heading = errors[0].tolist() if len(errors) else (None, None)
     return {"truth": plain(truth), "hit": hit, "error": {"position": position, "heading": heading}}

@@ -17,7 +17,7 @@ from imgloc.io.files import display, map_name
 from imgloc.io.images import image_size, read_image
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, FloatArray, LaserScan, Localization, OccupancyGrid, Pose2D
-from imgloc.options import FUSED, Drawn, Known, Length, Options, Prior
+from imgloc.options import FUSED, TOLERANCES, Drawn, Known, Length, Options, Prior, Tolerance
 from imgloc.pipeline import localize_many
 from imgloc.runs.jobs import Answer, Item, Job, compared
 from imgloc.runs.opening import LOG, Desk, ScanFiles, Taken
@@ -37,6 +37,7 @@ class Localize(Job):
     drawn: Drawn = field(default_factory=Drawn)  #: what is stated of the map's walls
     region: Path | None = None  #: an image as large as the map's, white where the robot may be
     prior_image: Path | None = None  #: an image as large as the map's, whose greys are weights
+    tolerance: Tolerance = TOLERANCES[-1]  #: how near a known pose an answer is a hit
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,7 +98,7 @@ class Locating:
             taken = list(self.taken)
             answers = localize_many(self.features, (scan for _, scan, _ in taken), self.options)
             for (k, scan, truth), answer in zip(taken, answers, strict=True):
-                beside = compared(poses_of(answer.hypotheses), truth)
+                beside = compared(poses_of(answer.hypotheses), truth, self.job.tolerance)
                 drawn = self.features, answer, scan, truth, self.options, self.title(k)
                 advance()
                 yield Located(
