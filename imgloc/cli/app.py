@@ -206,11 +206,8 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
-_SWITCHES, _ENDS = (
-    ("--verbose", "-v", "--debug", "--json", "--force", "--no-cache"),
-    ("--", "--ros-args"),
-)
-_VALUES = ("--threads", "--memory-budget", "--cache")
+_SWITCHES = ("--verbose", "-v", "--debug", "--json", "--force", "--no-cache")
+_VALUES, _ENDS = ("--threads", "--memory-budget", "--cache"), ("--", "--ros-args")
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
 

@@ -54,9 +54,8 @@ _PROGRAM = "imgloc.program"  # where a context has their texts
 _FIRST, _FEW = 10, 16  # usual options; options of a command that needs no groups
 _PANELS = {
     "Options": "Search", "Known": "Known of the pose", "Drawn": "Search", "Mounting": "Scans",
-    "Logs": "Scans", "Chosen": "Scans", "ScanFiles": "Scans", "MapImages": "Map image",
-    "Sensor": "Simulated laser", "Followed": "Filter",
-    "Settings": "Options",
+    "Logs": "Scans", "Chosen": "Scans", "MapImages": "Map image", "Sensor": "Simulated laser",
+    "Followed": "Filter", "Settings": "Options",
 }  # fmt: skip
 _CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 Given = frozenset[str]  #: names of the options that were typed, as they are written

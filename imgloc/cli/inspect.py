@@ -57,8 +57,7 @@ def inspect(
     """
     from imgloc.cli import inputs
 
-    folder = inputs.kept_in(kept)
-    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget), folder)
+    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget), inputs.kept_in(kept))
     given = [opt.find_map(path) if _is_map(path) else path for path in files]
     maps = [path for path in given if _is_map(path)]
     found = [path for path in given if path not in maps]

@@ -76,8 +76,7 @@ def which(
         known=known,
         sure=sure,
     )
-    folder = inputs.kept_in(kept)
-    desk = inputs.desk_of(**vars(taken), cache=folder)
+    desk = inputs.desk_of(**vars(taken), cache=inputs.kept_in(kept))
     asked = None if scans_path is None else desk.scans(scans_path, job.scans)
     numbers = [] if asked is None else asked.indices
     read = [file for path in maps.values() for file in inputs.files_of(path)]
