@@ -14,8 +14,10 @@ from imgloc.equality import ByContent
 from imgloc.errors import ConfigError
 from imgloc.numbers import number
 from imgloc.pose import Pose2D, check_mount
+from imgloc.ranges import Bytes as Bytes
 from imgloc.ranges import Checked, Doc, Matches, OneOf, Option, Some, Within, option
-from imgloc.texts import FAR, byte_count, metres_degrees, pose
+from imgloc.ranges import Count as Count
+from imgloc.texts import FAR, metres_degrees, pose
 
 if TYPE_CHECKING:
     from imgloc.model import BoolArray, FloatArray, Temperature
@@ -38,14 +40,12 @@ DEEPEST = 0.15
 """Metres that readings may end behind, or before, the border of a wall, to be stated or found."""
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
-Count = Annotated[int, Within(1, 1e12, "")]
 Place = Annotated[float, Within(-FAR, FAR, "metres")]  #: x or y
 Angle = Annotated[float, Within(-6.2832, 6.2832, "radians")]  #: once around either way
 Radius = Annotated[float, Within(0.01, 1e6, "metres")]
 Turn = Annotated[float, Within(0.001, 3.2, "radians")]
 HeadingStep = Annotated[float, Within(math.radians(0.05), math.pi, "radians")]
 Millimetres = Annotated[float, Within(0.001, 10, "metres")]  #: a cell of a map, or of poses
-Bytes = Annotated[int, Within(0, 1e18, "bytes")]
 
 RADIUS, TOLERANCE = number("options.near")
 """How far from a pose that is roughly known a robot may be, unless stated: metres, radians."""
@@ -422,9 +422,11 @@ class Options(Checked):
         "for the others]",
         "--theta-step-deg",
     )
-    engine: Annotated[str, OneOf("auto", "filter2d", "shift", "dft", "remap")] = option(
-        "auto", "Implementation of the correlations in cbml and cbml-o."
-    )
+    engine: Annotated[
+        str,
+        OneOf("auto", "filter2d", "shift", "dft", "remap"),
+        Doc("Implementation of the correlations in cbml and cbml-o."),
+    ] = "auto"
     threads: Annotated[Count, Doc("Threads; no result depends on their number.")] = 1
     memory_budget: Annotated[
         Bytes | None,
@@ -581,14 +583,6 @@ RangeMax = Annotated[
     Option(
         "Reach of the sensor, metres: a recorded reading of this length or more counts as no "
         "return. [default: the file's]"
-    ),
-]
-MemoryBudget = Annotated[
-    Bytes,
-    Option(
-        "Memory that may be taken, such as 512M or 2G; what needs more is refused. [default: "
-        "half of what is available]",
-        parse=byte_count,
     ),
 ]
 Reach = Annotated[

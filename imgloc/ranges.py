@@ -389,3 +389,7 @@ def _each(parts: Any, *, exact: bool, least: int) -> Check:
         return None
 
     return check
+
+
+Count = Annotated[int, Within(1, 1e12, "")]
+Bytes = Annotated[int, Within(0, 1e18, "bytes")]

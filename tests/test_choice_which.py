@@ -279,7 +279,7 @@ def test_the_command_makes_and_uses_an_index(site: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["{}/s.npz", "--near", "1,2,0"], "No such option: --near"),
+        (["{}/s.npz", "--near", "1,2,0"], "--near: is no option here; imgloc localize has it"),
         (["{}/s.npz", "--region", "a.png"], "No such option: --region"),
         ([], "expected scans"),
         (["{}/s.npz", "--maps-index", "{}/index.txt"], "ends in .npz"),

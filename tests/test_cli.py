@@ -201,7 +201,6 @@ def test_every_failure_is_one_line_and_its_exit_code(
         (["--free-thresh", "0.9"], "expected 0 <= free_thresh < occupied_thresh"),
         (["--theta-step-deg", "0"], "--theta-step-deg: got 0, expected degrees"),
         (["--range-max", "inf"], "--range-max: got inf"),
-        (["--engine", "dft"], "--engine: fused does not correlate"),
         (["--picture", "a.jpg"], "expected a name that ends in .png"),
         (["--nonsense"], "--nonsense"),
     ],

@@ -161,7 +161,7 @@ def test_the_help_has_groups_and_whole_sentences() -> None:
     text = call("localize", "--help").out
     usual = text.split("\nOptions:\n")[1].split("\n\n")[0]
     assert usual.count("\n  --") + 1 == 10
-    for title in ("Search", "Known of the pose", "Scans", "Map image", "Machine", "More options"):
+    for title in ("Search", "Known of the pose", "Scans", "Map image", "Program", "More options"):
         assert f"\n{title}:\n" in text
 
 

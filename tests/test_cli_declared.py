@@ -195,6 +195,19 @@ def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> Non
     assert "this command has no" not in run.err
 
 
+@pytest.mark.parametrize(("words", "said"), [
+    ("batch curved s.npz --out o --threads 2", "--threads: is no option here; imgloc localize has"),
+    ("report output --json", "--json: is no option here; this command would not notice it"),
+    ("localize curved s.npz --threads 0", "--threads: got 0, expected a whole number, 1 or more"),
+])  # fmt: skip
+def test_an_option_of_the_program_is_refused_where_nothing_notices_it(
+    words: str, said: str
+) -> None:
+    call(*words.split()).ends(2, said, out="")
+    switch = words.split()[-2 if words[-1].isdigit() else -1 :]
+    call(*switch, *words.split()[: -len(switch)]).ends(2, said, out="")
+
+
 def test_all_methods_are_measured_by_name() -> None:
     run = call("evaluate", "curved", "--method", "fused,sift")
     names = ",".join(ALL_METHODS)

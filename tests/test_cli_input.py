@@ -190,19 +190,8 @@ def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
     call("sample", *both, "--scans-index", "4,6", "-n", 5, "--out", out).ends(0)
     assert [line.split(",")[0] for line in out.read_text().splitlines()[1::5]] == ["4", "6"]
     found = tmp_path / "found"
-    call(
-        "batch",
-        *both,
-        "--out",
-        found,
-        "--scans-index",
-        "1,5",
-        "--workers",
-        1,
-        "--tolerance",
-        "0.3,10",
-        *QUICK,
-    ).ends(0)
+    more = ("--scans-index", "1,5", "--workers", 1, "--tolerance", "0.3,10")
+    call("batch", *both, "--out", found, *more, *QUICK).ends(0)
     assert [a["index"] for a in rows((found / "results.jsonl").read_text())[0]["answers"]] == [1, 5]
 
 

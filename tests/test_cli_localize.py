@@ -61,7 +61,7 @@ def test_simulate_writes_what_it_was_asked_for(tmp_path: Path) -> None:
     ("words", "code", "expected"),
     [
         (["--sigma", "nan"], 2, "--sigma: got nan"),
-        (["-n", "1000000"], 2, "181,000,000 readings, expected at most"),
+        (["-n", "10000000"], 2, "MiB: simulate fewer scans"),
         (["--clearance", "50"], 3, "50.0 m away"),
         (["--out", "no/such/folder.npz"], 1, "there is no folder"),
         (["--out", "scans.txt"], 2, "ends in .npz"),

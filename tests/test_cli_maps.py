@@ -110,8 +110,6 @@ def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
         ("--at 1,1", "--at: only --what visibility"),
         ("--at 500,500 --what visibility", "--at: 500,500 is not on the map"),
         ("--at 0,0 --what visibility", "not on the map"),  # left of its origin
-        ("--sigma 3", "--sigma: only --what bmap"),
-        ("--cell 1 --what visibility", "--cell: only --what bmap"),
     ],
 )
 def test_show_refuses_what_would_be_ignored(
@@ -121,15 +119,6 @@ def test_show_refuses_what_would_be_ignored(
     assert code == 2
     assert expected in err
     assert not (tmp_path / "o.png").exists()
-
-
-def test_show_blurs_as_it_is_told(grey: Path, tmp_path: Path) -> None:
-    pictures = set()
-    for k, words in enumerate(("", "--sigma 0.1", "--sigma 0.3", "--cell 0.2")):
-        out = tmp_path / f"{k}.png"
-        call("map", "show", grey, "--what", "bmap", "--out", out, *words.split()).ends(0)
-        pictures.add(out.read_bytes())
-    assert len(pictures) == 3  # 0.1 is the default
 
 
 def test_bundled_maps_are_those_of_the_checkout() -> None:

@@ -32,7 +32,7 @@ def near(poses: np.ndarray, truth: np.ndarray) -> float:
 
 @pytest.mark.parametrize("method", ["fused", "ght-v"])
 def test_most_are_where_the_scan_was_taken(method: str, scans: Path, tmp_path: Path) -> None:
-    words = ("--method", method, "-n", 200, "--out", tmp_path / "a.csv")
+    words = ("--cell", 0.2, "--method", method, "-n", 200, "--out", tmp_path / "a.csv")
     rows = drawn(CURVED, scans, *words)
     truth = load_scans(scans).poses
     assert truth is not None
@@ -69,7 +69,7 @@ def test_draws_depend_on_the_seed_and_the_scan_alone(scans: Path, tmp_path: Path
 def test_a_scan_that_says_nothing_may_be_from_anywhere(method: str, tmp_path: Path) -> None:
     blind = tmp_path / "blind.npz"
     save_scans(blind, ScanSet((LaserScan(np.full(30, np.inf), np.arange(30) / 9, range_max=9),)))
-    words = ("--cell", 0.2, "--method", method, "-n", 400, "--out", tmp_path / "a.csv")
+    words = ("--method", method, "-n", 400, "--out", tmp_path / "a.csv")
     poses = drawn(CURVED, blind, *words)[:, 1:]
     assert poses[:, :2].std(axis=0).min() > 2
     assert np.histogram(poses[:, 2], 4, (-np.pi, np.pi))[0].min() > 60

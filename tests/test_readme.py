@@ -17,6 +17,7 @@ from places import room_with_a_post
 
 from imgloc.cli import app
 from imgloc.cli.app import program
+from imgloc.cli.command import PROGRAM
 from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.model import Pose2D
@@ -116,7 +117,7 @@ def test_the_example_files_are_read() -> None:
 def test_every_command_of_a_page_parses(name: str) -> None:
     tree = typer.main.get_command(program())
     for line in commands(PAGES[name]):
-        command, words = tree, shlex.split(line)
+        command, words = tree, [word for word in shlex.split(line) if word not in PROGRAM]
         while hasattr(command, "commands"):
             command = command.commands[words.pop(0)]
         with command.make_context("imgloc", words):

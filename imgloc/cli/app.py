@@ -206,7 +206,8 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
-_SWITCHES, _ENDS = ("--verbose", "-v", "--debug"), ("--", "--ros-args")
+_SWITCHES = ("--verbose", "-v", "--debug", "--json", "--force", "--no-cache")
+_VALUES, _ENDS = ("--threads", "--memory-budget", "--cache"), ("--", "--ros-args")
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
 
@@ -277,7 +278,11 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             kind, more = _class_of(name)
             groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
-    app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(root)
+    from imgloc.cli.command import with_options_of_program
+    from imgloc.cli.program import Kept, Resources, Written
+
+    start = with_options_of_program(root, Written, Resources, Kept)
+    app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(start)
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."
     )
@@ -308,8 +313,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     known = {name for commands in _GROUPS.values() for name in commands} | {"cache"}
     # The completion of a shell has its words elsewhere.
     named = known if "_IMGLOC_COMPLETE" in os.environ else known & set(words)
-    # Switches of the program may stand anywhere in the line.
-    own = words[: next((k for k, word in enumerate(words) if word in _ENDS), len(words))]
-    first = [word for word in own if word in _SWITCHES]
-    words = [*first, *(word for word in own if word not in _SWITCHES), *words[len(own) :]]
-    _program_of(frozenset(named))(words, prog_name="imgloc")
+    _program_of(frozenset(named))(_in_order(words), prog_name="imgloc")
+
+
+def _in_order(words: list[str]) -> list[str]:
+    """A line with the options of the program first: these may be typed anywhere in it.
+
+    >>> _in_order(["localize", "a.yaml", "--threads", "2", "-v", "--", "-v"])
+    ['--threads', '2', '-v', 'localize', 'a.yaml', '--', '-v']
+    """
+    end = next((k for k, word in enumerate(words) if word in _ENDS), len(words))
+    first, rest, last = list[str](), list[str](), ""
+    for word in words[:end]:
+        own = word in _SWITCHES or word.partition("=")[0] in _VALUES or last in _VALUES
+        (first if own else rest).append(word)
+        last = word
+    return [*first, *rest, *words[end:]]

@@ -22,7 +22,6 @@ from imgloc.options import (
     Bytes,
     Cell,
     Chosen,
-    Drawn,
     Known,
     Logs,
     Mounting,
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
 
 _EVERY = 60.0  # seconds between lines of progress without a terminal
 _GROUPS: Mapping[str, tuple[type, ...]] = {
-    "scans": (Logs, Chosen, Mounting), "options": (Options,), "known": (Known,), "drawn": (Drawn,),
+    "scans": (Logs, Chosen, Mounting), "options": (Options,), "known": (Known,),
 }  # fmt: skip
 #: Which field of a job an option is for, if it is not called as the option.
 _FIELDS = {
@@ -68,12 +67,11 @@ def batch(
     ),
     out: Path = option(..., "Folder of the results.", metavar="DIR"),
     mounting: Mounting,
-    reading: opt.MapImages,
+    reading: opt.MapSize,
     logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
-    search: Annotated[Options, Only("method", "top", "theta_step", "max_speed", "max_turn")],
-    known: Known,
-    drawn: Drawn,
+    search: Annotated[Options, Only("method", "top", "theta_step")],
+    known: Annotated[Known, Only("heading", "clearance")],
     scans: Path | None = option(None, "Folder tree of files of scans, or one file.", "[SCANS]"),
     job: Annotated[str, OneOf(*JOBS)] = option(
         "localize",
@@ -106,7 +104,7 @@ def batch(
     retry_failed: bool = option(False, "Go on with the results in DIR, and do failed items again."),
     dry_run: bool = option(False, "Only print what would be done."),
     as_json: opt.AsJson = False,
-    kept: Annotated[opt.Kept, Only("no_cache")],
+    kept: opt.Kept,
 ) -> None:
     """Run one job on every pair of map and scan file: one row each.
 
@@ -134,7 +132,6 @@ def batch(
         "options": replace(search, theta_step=None).stepped(search.theta_step),
         "cell": cell,
         "known": known,
-        "drawn": drawn,
         "tolerance": tolerance,
         "sure": sure,
         "pictures": pictures,
@@ -145,9 +142,6 @@ def batch(
     again = resume or retry_failed
     items = find_items(maps, scans, what, out=out)
     todo, said = _plan(items, what, out if again else None, retry_failed=retry_failed)
-    number = len({path for item in items for _, path in item.maps})
-    if known.near is not None and number > 1:
-        raise ConfigError(f"--near: is about one map, not about {number:,}")
     (emit if dry_run else say)(said)
     if dry_run:
         return
@@ -205,9 +199,8 @@ def _refuse(given: Given, job: str) -> None:
     from imgloc.runs.jobs import job_class
 
     def notices(kind: "type[Job]", flag: str) -> bool:
-        name = flag.removeprefix("--").replace("-", "_")
-        own = any(field.name == _FIELDS.get(flag, name) for field in fields(kind))
-        return own and name not in kind.refused
+        name = _FIELDS.get(flag, flag.removeprefix("--").replace("-", "_"))
+        return any(field.name == name for field in fields(kind))
 
     kinds = {name: job_class(name) for name in JOBS}
     of = {flag: [name for name, kind in kinds.items() if notices(kind, flag)] for flag in given}

@@ -29,27 +29,35 @@ from imgloc.texts import WITH_COMMAS
 #: Options that a command does not have, and what to do instead.
 GONE: Mapping[str, str] = {
     **dict.fromkeys(
-        ("origin", "mode", "occupied-thresh", "free-thresh", "negate", "no-negate", "semantics"),
+        ("resolution", "origin", "mode", "occupied-thresh", "free-thresh", "negate", "no-negate",
+         "semantics"),
         "imgloc map check MAP with it and with --write YAML makes a YAML that has it"),
     "allow-lossy": "the same image as a PNG needs none",
     **dict.fromkeys(("max-bad", "straighten", "height", "odom", "odometry", "topic", "fov-deg",
                      "range-scale", "range-max", "sensor", "flipped", "scans-index", "sample"),
                     "imgloc convert LOG scans.npz with it makes a file that needs none"),
+    **dict.fromkeys(("near", "sd", "clearance", "thinner", "bent", "max-speed", "max-turn-deg",
+                     "theta-step-deg", "cell"), "imgloc localize has it"),
     "threads": "imgloc localize has it, imgloc batch has --workers",
     "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
+    **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),
+                    "imgloc simulate has it, and --scans takes the file that it writes"),
 }  # fmt: skip
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
     "--sensor", "--flipped", "--range-max", "--resolution", "--force",
 )  # fmt: skip
+#: Options of the program, which each command that notices them takes, wherever they are typed.
+PROGRAM = ("--json", "--force", "--threads", "--memory-budget", "--cache", "--no-cache")
+_PROGRAM = "imgloc.program"  # where a context has their texts
 _FIRST, _FEW = 10, 16  # usual options; options of a command that needs no groups
 _PANELS = {
     "Options": "Search", "Known": "Known of the pose", "Drawn": "Search", "Mounting": "Scans",
-    "Logs": "Scans", "Chosen": "Scans", "ScanFiles": "Scans", "MapImages": "Map image",
-    "Resources": "Machine", "Kept": "Machine", "Sensor": "Simulated laser", "Followed": "Filter",
-    "Settings": "Options",
+    "Logs": "Scans", "Chosen": "Scans", "MapImages": "Map image", "Sensor": "Simulated laser",
+    "Followed": "Filter", "Settings": "Options",
 }  # fmt: skip
+_CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 Given = frozenset[str]  #: names of the options that were typed, as they are written
 Typed = dict[str, list[str]]  #: their words, name and values, as another command takes them
 
@@ -79,7 +87,11 @@ class Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, the usual options, and the others by what they are about."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        params = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
+        root, noticed = ctx.find_root(), getattr(self.callback, "of_program", ())
+        ours = [p for p in root.command.params if p.opts[0] in noticed] if root is not ctx else []
+        for param in ours:
+            param.rich_help_panel = "Program"
+        params = [(param, param.get_help_record(ctx)) for param in [*self.get_params(ctx), *ours]]
         shown = [(param, record) for param, record in params if record is not None]
         own = {name: record for param, record in shown for name in param.opts}
         first = [own[name] for name in USUAL if name in own][:_FIRST]
@@ -104,13 +116,14 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; an option of other commands is a ConfigError with a hint."""
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
+        own |= getattr(self.callback, "of_program", set())
         lacking = {f"--{name}": hint for name, hint in GONE.items() if f"--{name}" not in own}
         ctx.meta.setdefault(LACKS, {}).update(lacking)
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
             if old in lacking:
                 raise ConfigError(f"{old}: is no option here; {lacking[old]}")
-            if old.lstrip("-") in ("output", "o") and old not in own:
+            if old[:1] == "-" and old.lstrip("-") in ("output", "o") and old not in own:
                 also = ", and --picture FILE draws them" if "--picture" in own else ""
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
                 raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")
@@ -143,21 +156,23 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             continue
         part = _part(parameter, hint)
         parts.append(part)
-        parameters += [_parameter(part, field) for field in part.fields]
+        parameters += [_parameter(part, f) for f in part.fields if f.flag not in PROGRAM]
     flags = {(_kind_name(p), f.name): f.flag for p in parts for f in p.fields}
     context = [name for name, hint in aside.items() if hint is typer.Context]
-    parameters += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-        for name in context
-    ]
+    noticed = {flag for flag in flags.values() if flag in PROGRAM}
+    parameters.append(_CONTEXT)
 
     @functools.wraps(function)
     def run(**raw: Any) -> None:
-        values: dict[str, Any] = {name: raw[name] for name in context}
+        given = raw[_CONTEXT.name].meta.get(_PROGRAM, {})
+        if vain := given.keys() - noticed:
+            hint = GONE.get(min(vain)[2:], "this command would not notice it")
+            raise ConfigError(f"{min(vain)}: is no option here; {hint}")
+        values: dict[str, Any] = dict.fromkeys(context, raw[_CONTEXT.name])
         typed = Typed()
         with _flags_for(flags):
             for part in parts:
-                texts = [(field, raw[_key(part, field)]) for field in part.fields]
+                texts = [(f, given.get(f.flag, raw.get(_key(part, f)))) for f in part.fields]
                 there = [(field, text) for field, text in texts if text is not None and text != []]
                 typed |= {field.flag: _words_of(field, text) for field, text in there}
                 values[part.name] = part.make({f.name: value_of(f, text) for f, text in there})
@@ -166,6 +181,24 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             function(**values)
 
     signature = inspect.Signature(parameters)
+    run.__signature__ = signature  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
+    run.of_program = noticed  # type: ignore[attr-defined]
+    return run
+
+
+def with_options_of_program(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
+    """Give a function, which is called before each command, the options of these classes."""
+    own = list(inspect.signature(function).parameters.values())
+    fields = [(_Part("", (), kind), field) for kind in kinds for field in declared(kind)]
+
+    def run(**raw: Any) -> None:
+        texts = {field.flag: raw.pop(_key(part, field)) for part, field in fields}
+        given = {flag: text for flag, text in texts.items() if text is not None}
+        raw.pop(_CONTEXT.name).meta[_PROGRAM] = given
+        function(**raw)
+
+    signature = inspect.Signature([*own, *(_parameter(*one) for one in fields), _CONTEXT])
     run.__signature__ = signature  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
     return run

@@ -5,7 +5,7 @@ from pathlib import Path
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
 from imgloc.io.files import display
-from imgloc.options import Chosen, Logs, MemoryBudget, Mounting
+from imgloc.options import Chosen, Logs, Mounting
 from imgloc.ranges import option
 
 
@@ -16,7 +16,7 @@ def convert(
     logs: Logs,
     chosen: Chosen,
     mounting: Mounting,
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
     """Write the scans of any log as CSV, JSON lines, NPZ or MCAP.

@@ -43,7 +43,7 @@ def desk_of(threads: int, memory_budget: int, cache: Path | None = None) -> Desk
     return Desk(threads, memory_budget, cache, progress=progress)
 
 
-def map_files(reading: MapImages, *, many: bool = False) -> MapFiles:
+def map_files(reading: MapImages = MapImages(), *, many: bool = False) -> MapFiles:
     """The way to read the maps of a command; the options of its only map override the YAML."""
     given: Any = dict(reading)
     lossy = given.pop("allow_lossy", False)

@@ -11,7 +11,7 @@ from imgloc.cli.command import Typed
 from imgloc.cli.console import LOG, emit
 from imgloc.errors import ConfigError, ScanError, as_options
 from imgloc.io.files import display
-from imgloc.options import Logs, MemoryBudget, Mounting, Options
+from imgloc.options import Logs, Mounting, Options
 from imgloc.ranges import declared, option
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def inspect(
         metavar="PNG",
     ),
     kept: opt.Kept,
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
     typed: Typed,
 ) -> None:
@@ -57,8 +57,7 @@ def inspect(
     """
     from imgloc.cli import inputs
 
-    folder = inputs.kept_in(kept)
-    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget), folder)
+    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget), inputs.kept_in(kept))
     given = [opt.find_map(path) if _is_map(path) else path for path in files]
     maps = [path for path in given if _is_map(path)]
     found = [path for path in given if path not in maps]

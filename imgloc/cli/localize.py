@@ -47,7 +47,7 @@ def localize(
     *,
     map_path: opt.MapPath,
     scans_paths: opt.ScansPaths,
-    search: Annotated[Options, Without("threads", "memory_budget")],
+    search: Annotated[Options, Without("threads", "memory_budget", "engine")],
     known: Known,
     drawn: Drawn,
     mounting: Mounting,
@@ -91,8 +91,6 @@ def localize(
     from imgloc.search.asked import check_options
 
     folder = inputs.kept_in(kept)
-    if search.engine != "auto" and search.method not in ("cbml", "cbml-o"):
-        raise ConfigError(f"--engine: {search.method} does not correlate; use cbml or cbml-o")
     if list(map(str, scans_paths)).count("-") > 1:
         raise ConfigError("-: got it more than once, but standard input can be read only once")
     read = [*inputs.files_of(map_path), *filter(None, (region, prior_image))]

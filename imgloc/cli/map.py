@@ -10,7 +10,7 @@ from imgloc.cli.command import Without
 from imgloc.cli.console import emit, say
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import METHODS, Chosen, MemoryBudget, Millimetres, Options
+from imgloc.options import METHODS, Chosen, Options
 from imgloc.ranges import OneOf, Within, option
 from imgloc.texts import numbers
 
@@ -28,7 +28,7 @@ def check(
         "Write a YAML that reads the map as it is read here. Only imgloc knows the key semantics.",
         metavar="YAML",
     ),
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
@@ -73,12 +73,6 @@ def show(
         metavar="X,Y",
         parse=numbers(2),
     ),
-    sigma: Annotated[float | None, Within(0.001, 100, "metres")] = option(
-        None, "Standard deviation of the blur of bmap and vmap, metres. [default: 0.1]"
-    ),
-    cell: Millimetres | None = option(
-        None, "Side of a cell of bmap and vmap, metres. [default: the map's cells]"
-    ),
     scans: Path | None = option(
         None, "File of the scan whose likelihood is drawn.", metavar="SCANS", parse=opt.find_scans
     ),
@@ -88,7 +82,7 @@ def show(
     method: Annotated[str, OneOf(*METHODS)] = option(
         "cbml", "Algorithm of the paper whose likelihood of the scan is drawn."
     ),
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
@@ -106,13 +100,10 @@ def show(
         raise ConfigError("--scans: expected with --what likelihood, and only there")
     if at is not None and what != "visibility":
         raise ConfigError("--at: only --what visibility is drawn at a point")
-    for name, value in (("--sigma", sigma), ("--cell", cell)):
-        if value is not None and what not in ("bmap", "vmap"):
-            raise ConfigError(f"{name}: only --what bmap and --what vmap are blurred")
     budget = opt.fixed_budget(memory_budget)
     desk, maps = inputs.desk_of(1, budget), inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=what != "map")
-    features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
+    features = MapFeatures(grid, cell=grid.resolution)
     if at is not None:
         there = in_grid_frame(Pose2D(*at), grid)
         if not inside(cell_of(np.array([there.x, there.y]), grid.resolution), grid.info):

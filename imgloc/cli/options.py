@@ -1,15 +1,20 @@
 """Shared by several commands: arguments, files, and what each may take of the machine."""
 
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 from imgloc.cli.command import Given, Only
+from imgloc.cli.program import AsJson as AsJson
+from imgloc.cli.program import Force as Force
+from imgloc.cli.program import Kept as Kept
+from imgloc.cli.program import MemoryBudget as MemoryBudget
+from imgloc.cli.program import Resources as Resources
+from imgloc.cli.program import count_threads as count_threads
+from imgloc.cli.program import fixed_budget as fixed_budget
 from imgloc.errors import ConfigError, MapError
-from imgloc.options import Count, HeadingStep, Logs, MemoryBudget, Reading, Tolerance
-from imgloc.ranges import Option, option
+from imgloc.options import Count, HeadingStep, Logs, Reading, Tolerance
+from imgloc.ranges import Option
 from imgloc.texts import metres_degrees
 
 
@@ -72,8 +77,6 @@ Picture = Annotated[
         metavar="PNG",
     ),
 ]
-Force = Annotated[bool, Option("Overwrite output files that exist.")]
-AsJson = Annotated[bool, Option("Print JSON instead of text: one object a line.", "--json")]
 Strict = Annotated[bool, Option("Exit with code 6 unless every scan is unique.")]
 Workers = Annotated[
     Count | None, Option("Processes; no result depends on their number. [default: all processors]")
@@ -96,47 +99,6 @@ StepOf = Annotated[
         "--theta-step-deg",
     ),
 ]
-
-
-def count_threads(wanted: int | None = None) -> int:
-    """Return `wanted`, or the number of processors that this process may use."""
-    if wanted is None and hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return wanted or os.cpu_count() or 1
-
-
-def fixed_budget(memory_budget: int | None = None) -> int:
-    """Bytes that a command may take to its end: by default half of what is there at its start."""
-    from imgloc.features.budget import default_budget
-
-    return default_budget() if memory_budget is None else memory_budget
-
-
-@dataclass(frozen=True)
-class Resources:
-    """The share of the machine that a command may take: threads, and bytes of memory."""
-
-    threads: Count = option(
-        ...,
-        "Threads; no result depends on their number. [default: all processors]",
-        factory=count_threads,
-    )
-    memory_budget: MemoryBudget = field(default_factory=fixed_budget)
-
-    def __post_init__(self) -> None:
-        import cv2
-
-        cv2.setNumThreads(self.threads)
-
-
-@dataclass(frozen=True)
-class Kept:
-    """Where prepared maps are kept."""
-
-    cache: Path | None = option(
-        None, "Folder that keeps prepared maps. [default: the user's cache folder]", metavar="DIR"
-    )
-    no_cache: bool = option(False, "Prepare maps anew, and keep nothing of them.")
 
 
 class MapImages(Reading, total=False):

@@ -21,7 +21,6 @@ def sample(
     scans_path: opt.ScansPath,
     out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
     search: Annotated[Options, Only("method", "theta_step")],
-    reading: opt.MapSize,
     chosen: Annotated[Chosen, Only("index")],
     taken: opt.Resources,
     count: Count = option(500, "Poses that are drawn for each scan.", "-n", "--count"),
@@ -45,7 +44,7 @@ def sample(
         raise ConfigError("--theta-step-deg: fused has no stack of headings")
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
     desk = inputs.desk_of(**vars(taken))
-    maps = inputs.map_files(reading)
+    maps = inputs.map_files()
     grid = desk.grid(map_path, maps, usable=True)
     asked = desk.scans(scans_path, inputs.as_recorded(chosen=chosen))
     total = len(asked.indices)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Typed
+from imgloc.cli.command import Only, Typed
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
@@ -86,9 +86,9 @@ def open(  # noqa: A001 (the command's name)
     *,
     map_path: opt.MapPath,
     logs: opt.LogTaken,
-    chosen: Chosen,
+    chosen: Annotated[Chosen, Only("index")],
     mounting: Mounting,
-    reading: opt.MapImages,
+    reading: opt.MapSize,
     taken: opt.Resources,
     scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,
     port: Port = option(0, "Port to listen at. [default: any that is free]"),
@@ -179,13 +179,9 @@ def _core(
     makers, keep = inputs.site_makers(paths, maps, options, folder)
     core = Localizer(makers, options, background=True, prepared=keep)
     bundled = {opt.find_map(path): display(path) for path in given}
-    how = {
-        name: _passed(
-            typed, opt.MapImages, reading,
-            ("resolution", "origin") if maps.many and path.suffix.lower() in YAML_ENDINGS else (),
-        )
-        for name, path in paths.items()
-    }  # fmt: skip
+    bare = [name for name, path in paths.items() if path.suffix.lower() not in YAML_ENDINGS]
+    size = _passed(typed, opt.MapImages, reading, ())
+    how = {name: size if name in bare or not maps.many else () for name in paths}
     names = {name: bundled.get(path, display(path)) for name, path in paths.items()}
     return core, Begun(names, options=how)
 

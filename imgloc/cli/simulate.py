@@ -4,12 +4,9 @@ from pathlib import Path
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
-from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import Count, MemoryBudget, Seed, Sensor
+from imgloc.options import Count, Seed, Sensor
 from imgloc.ranges import option
-
-_MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
 
 
 def simulate(
@@ -17,10 +14,9 @@ def simulate(
     map_path: opt.MapPath,
     out: Path = option(..., "File of the scans that is written.", metavar="NPZ"),
     sensor: Sensor,
-    reading: opt.MapSize,
     count: Count = option(100, "Scans that are simulated.", "-n", "--count"),
     seed: Seed = 0,
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
     """Simulate scans at random free poses of a map.
@@ -33,16 +29,9 @@ def simulate(
     from imgloc.simulation.scans import simulate
 
     inputs.check_target(out, ".npz", force=force)
-    rays = sensor.rays
-    if count * rays > _MAX_READINGS:
-        raise ConfigError(
-            f"{count:,} scans of {rays:,} rays are {count * rays:,} readings, expected at most "
-            f"{_MAX_READINGS:,}; simulate several files with different seeds"
-        )
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
-    maps = inputs.map_files(reading)
-    grid = desk.grid(map_path, maps, usable=True)
-    desk.check_simulation(grid, display(map_path), count, rays)
+    grid = desk.grid(map_path, inputs.map_files(), usable=True)
+    desk.check_simulation(grid, display(map_path), count, sensor.rays)
     scans = simulate(grid, count, seed, sensor)
     save_scans(out, scans, force=force)
-    say(f"wrote {display(out)}: {count} scans of {rays} readings, with their poses")
+    say(f"wrote {display(out)}: {count} scans of {sensor.rays} readings, with their poses")

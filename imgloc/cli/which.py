@@ -46,7 +46,7 @@ def which(
     mounting: Annotated[Mounting, Only("flipped")],
     sure: Sure = NAMED,
     as_json: opt.AsJson = False,
-    kept: Annotated[opt.Kept, Only("no_cache")],
+    kept: opt.Kept,
     force: opt.Force = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
@@ -76,8 +76,7 @@ def which(
         known=known,
         sure=sure,
     )
-    folder = inputs.kept_in(kept)
-    desk = inputs.desk_of(**vars(taken), cache=folder)
+    desk = inputs.desk_of(**vars(taken), cache=inputs.kept_in(kept))
     asked = None if scans_path is None else desk.scans(scans_path, job.scans)
     numbers = [] if asked is None else asked.indices
     read = [file for path in maps.values() for file in inputs.files_of(path)]

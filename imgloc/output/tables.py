@@ -1,6 +1,5 @@
 """Results as text for people: tables, and lines that stand below each other."""
 
-import io
 import math
 import statistics
 from collections.abc import Mapping, Sequence
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from imgloc.io.mapcheck import MapReport
     from imgloc.runs.batch import BatchSummary
 
-_WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
 _UNDER = "sd: standard deviation, with errors common to one wall"
 _NAMED = 3  # things that a line names
 _LISTED = 3  # maps that a line of `imgloc which` names
@@ -59,15 +57,10 @@ def as_plain(
     | x | 2 |
     +---+---+
     """
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
+    sizes = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
     if width is not None:
-        sizes = [3 + max(map(len, column)) for column in zip(columns, *rows, strict=True)]
         last = left + 1
-        while last < len(sizes) and sum(sizes[: last + 1]) < width:
+        while last < len(sizes) and sum(3 + size for size in sizes[: last + 1]) < width:
             last += 1
         if last < len(sizes):
             halves = [list(range(last)), [*range(left), *range(last, len(sizes))]]
@@ -80,15 +73,14 @@ def as_plain(
                 )
                 for half in halves
             )
-    table = Table(box=box.ASCII2)
-    for k, name in enumerate(columns):
-        table.add_column(Text(name), justify="left" if k < left else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*map(Text, row))  # Text: what is in brackets is not markup
-    console = Console(file=io.StringIO(), width=_WIDE, color_system=None)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines())
+    flush = [str.ljust if k < left else str.rjust for k in range(len(sizes))]
+    line = "".join(f"+{'-' * (size + 2)}" for size in sizes) + "+"
+
+    def row_of(cells: Sequence[str]) -> str:
+        put = (to(cell, size) for to, cell, size in zip(flush, cells, sizes, strict=True))
+        return f"| {' | '.join(put)} |"
+
+    return "\n".join((line, row_of(columns), line, *map(row_of, rows), line))
 
 
 def pose_words(pose: Pose2D) -> str:

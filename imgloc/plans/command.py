@@ -8,7 +8,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError, MapError, as_options
 from imgloc.io.files import display, is_file
-from imgloc.options import MemoryBudget, PlanWalls
+from imgloc.options import PlanWalls
 from imgloc.pose import Pose2D
 from imgloc.ranges import OneOf, Within, check_of, option
 from imgloc.texts import numbers, pose
@@ -77,7 +77,7 @@ def plan(
         "Draw the plan, with what was taken from it in colour, beside the map into this file.",
         metavar="PNG",
     ),
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,
 ) -> None:  # fmt: skip

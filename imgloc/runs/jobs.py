@@ -86,8 +86,6 @@ class Job(Checked, ABC):
     decided_by: ClassVar[frozenset[str]] = LOCATING  #: families of numbers that decide its rows
 
     maps: MapFiles = field(default_factory=MapFiles)  #: how the images of maps are read
-    #: options of a batch that have a field here, but are not taken
-    refused: ClassVar[frozenset[str]] = frozenset()
 
     #: of which answers a batch keeps pictures, one of :data:`PICTURES`
     pictures: Annotated[str, OneOf(*PICTURES)] = "none"

@@ -37,7 +37,6 @@ class Which(Job):
 
     name = "which"
     all_maps = True
-    refused = frozenset({"near"})
     decided_by = LOCATING | {"choose", "folder_index"}
 
     scans: ScanFiles = field(default_factory=ScanFiles)

@@ -49,7 +49,7 @@ def test_what_is_fitted_is_used(office: Path) -> None:
     assert call("simulate", office, "-n", 1, "--rays", 61, "--out", scans).code == 0
     for words in (
         ("localize", office, scans, "--method", "ght-v", "--json"),
-        ("evaluate", office, "-n", 1, "--rays", 61, "--method", "ght-v", "--json"),
+        ("evaluate", office, "-n", 1, "--method", "ght-v", "--json"),
     ):
         (row,) = rows(call(*words).out)
         assert row["parameters"]["calibration"] == vars(fitted["ght-v"])
@@ -98,7 +98,6 @@ def test_maps_that_share_a_fit(office: Path) -> None:
     ("words", "code", "expected"),
     [
         (["--method", "fused"], 2, "--method: got 'fused', expected cbml,"),
-        (["--clearance", "50"], 3, "clearance"),
         (["MAP"], 2, "the same map twice"),
         (["-n", "1"], 2, "got 1 in all, expected at least 20"),
         (["-n", "19", "--dry-run"], 2, "got 19 in all, expected at least 20"),
@@ -160,7 +159,7 @@ def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
         assert row["parameters"]["shared"] == content["shared"]
         assert row["evidence"]["scale"] == content["shared"]["scale"]
     # What is simulated in the map as it is has no such error.
-    quick = ("-n", 1, "--rays", 121, "--method", "fused", "--json", *longer)
+    quick = ("-n", 1, "--method", "fused", "--json", *longer)
     (row,) = rows(call("evaluate", office, *quick).out)
     assert row["parameters"]["shared"] == vars(Shared())
     assert (

@@ -37,9 +37,7 @@ def evaluated(*arguments: object) -> list[dict[str, Any]]:
 
 
 def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
-    words = [
-        "curved", "-n", 3, "--seed", 5, "--rays", 91, "--sensor", "0.1,0,0.5", "--range-max", 8,
-    ]  # fmt: skip
+    words = ["curved", "-n", 3, "--seed", 5, "--range-max", 8]
     fused, votes = evaluated(*words, *QUICK, "--tolerance", "0.3,20")
     assert list(fused) == list(votes) == KEYS
     assert (fused["method"], votes["method"]) == ("fused", "ght-v")
@@ -48,9 +46,7 @@ def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
     assert source == votes["source"]
     assert source["seed"] == 5
     assert source["map"].endswith("curved.yaml")
-    assert source["sensor"]["rays"] == 91
     assert source["sensor"]["range_max"] == 8
-    assert source["sensor"]["mount"] == {"x": 0.1, "y": 0.0, "theta": 0.5}
     assert fused["near"]["hits"] == 3
     assert fused["index"]["value"] > votes["index"]["value"] > 0
     tolerances = [s["tolerance"] for s in fused["success"]]
@@ -144,9 +140,8 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
         (["--flipped"], 2, "--flipped: is no option here; imgloc convert LOG scans.npz"),
         (["--sample", "3"], 2, "--sample: is for evaluate --scans, not"),
         (["-n", "1000000"], 2, "-n: got 1000000"),
-        (["--sensor", "99,0,0"], 2, "--sensor: got 99,0: 99 m from the robot's base"),
         (["--scans", "SCANS", "-n", "4"], 2, "-n: is for evaluate without --scans"),
-        (["--scans", "SCANS", "--rays", "90"], 2, "--rays: is for evaluate without --scans"),
+        (["--rays", "90"], 2, "--rays: is no option here; imgloc simulate has it"),
         (["--scans", "SCANS", "--scans", "SCANS"], 2, "got 2 for 1 maps"),
         (["--scans", "no.npz"], 4, "no.npz"),
     ],

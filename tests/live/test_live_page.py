@@ -693,7 +693,7 @@ def test_open_takes_the_options_of_a_log(browser: Any, log: Path, tmp_path: Path
 
 
 OPENED = {
-    "--origin=1,2,0.1": "longer.npz",
+    "--range-max=29": "longer.npz",
     "--flipped --sensor=0.3,0,-0.1": "turned.npz",
     "--range-scale=0.001 --scans-index=2:4 --range-max=9": "mm.npz",
     "--topic=/rear/scan --range-max=15": "two.bag",

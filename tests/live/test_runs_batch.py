@@ -403,7 +403,7 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
         ("check", ["--heading", "1"], "--heading: is for localize, which, not for check"),
         ("localize", ["--sure", "0.9"], "--sure: is for which, not for localize"),
         ("area", [], "--job: got 'area', expected one of localize, check, which"),
-        ("which", ["--near", "1,2,3"], "--near: is for localize, not for which"),
+        ("localize", ["--near", "1,2,3"], "--near: is no option here; imgloc localize has it"),
         ("which", ["--method", "fused"], "--method: is for localize"),
     ],
 )
@@ -469,15 +469,6 @@ def test_what_is_known_of_the_poses(site: Path, tmp_path: Path) -> None:
     assert abs(row["answers"][0]["pose"]["theta"] - truth.theta) < 0.3
     (said,) = json.loads((tmp_path / "told" / "run.json").read_text())["parameters"].values()
     assert (said["known"]["clearance"], said["known"]["near"]) == (0.4, None)
-
-
-def test_a_place_is_known_of_one_map(site: Path, tmp_path: Path) -> None:
-    floors = tmp_path / "floors"
-    floors.mkdir()
-    for name in "ab":
-        save_map(floors / f"{name}.yaml", room_with_a_post())
-    words = ["batch", floors, site / "scans", "--out", tmp_path / "out", "--near", "1,2,0"]
-    call(*words, "--dry-run").ends(2, "--near: is about one map, not about 2")
 
 
 @pytest.mark.parametrize("name", JOBS)

@@ -48,7 +48,6 @@ def align(
         "ROS ignore the yaw of an origin.",
         metavar="YAML",
     ),
-    reading: opt.MapImages,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 6 unless one place alone matches."),
@@ -80,7 +79,7 @@ def align(
     if (move is None) != (out is None):
         raise ConfigError("--move, --out: expected both: poses of B, and the file for those of A")
     poses = None if move is None else read_poses(move)
-    desk, maps = inputs.desk_of(**vars(taken)), inputs.map_files(reading, many=True)
+    desk, maps = inputs.desk_of(**vars(taken)), inputs.map_files(many=True)
     paths, by_scans = (a_path, b_path), None
     grids = [desk.grid(path, maps, usable=True) for path in paths]
     if scans is not None:

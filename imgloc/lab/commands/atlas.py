@@ -3,12 +3,13 @@
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Without
 from imgloc.cli.console import emit, progress
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Headings, MemoryBudget, Options, Seed, Sensor, Spacing
+from imgloc.options import Headings, Options, Sensor, Spacing
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -22,16 +23,14 @@ def atlas(
     *,
     map_path: opt.MapPath,
     out: Path = option(..., "Picture that is written.", metavar="PNG"),
-    sensor: Sensor,
-    reading: opt.MapSize,
+    sensor: Annotated[Sensor, Without("outliers", "dropped")],
     csv: Path | None = option(
         None, "Write a row for each pose into this file, too.", metavar="CSV"
     ),
     step: Spacing = 0.5,
     headings: Headings = 4,
-    seed: Seed = 0,
     workers: opt.Workers = None,
-    memory_budget: MemoryBudget | None = None,
+    memory_budget: opt.MemoryBudget | None = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,
 ) -> None:
@@ -51,11 +50,11 @@ def atlas(
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     inputs.check_target(csv, ".csv", force=force)
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
-    grid = desk.grid(map_path, inputs.map_files(reading), usable=True)
+    grid = desk.grid(map_path, inputs.map_files(), usable=True)
     count = opt.count_threads(workers)
     poses, options = _poses(map_path, grid, desk, sensor, step, headings, count)
-    about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(sensor))}
-    scans, spots = simulate_at(grid, poses, sensor, seed, fine_image(map_path, grid)), list[Spot]()
+    about = {"step": step, "headings": headings, "sensor": plain(asdict(sensor))}
+    scans, spots = simulate_at(grid, poses, sensor, 0, fine_image(map_path, grid)), list[Spot]()
     many = _useful(count, len(scans))
     with progress("atlas", len(scans), lines=False) as advance:
         for spot in survey(grid, scans, options, sigma=sensor.sigma, workers=many):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Given, Only, Without
+from imgloc.cli.command import Given, Only
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 _SIMULATED, _RECORDED = "calibrate without --scans", "calibrate --scans"
 #: Of which of the two options are that the other would not notice.
 _OF = {
-    **dict.fromkeys(("--rays", "--sigma", "--outliers", "--dropped", "--clearance"), (_SIMULATED,)),
-    **dict.fromkeys(("--method", "-n", "--count", "--seed", "--theta-step-deg"), (_SIMULATED,)),
-    "--cell": (_SIMULATED,),
+    **dict.fromkeys(("--rays", "--method", "-n", "--count", "--seed"), (_SIMULATED,)),
+    **dict.fromkeys(("--theta-step-deg", "--cell"), (_SIMULATED,)),
     "--scans-index": (_RECORDED,),
 }
 
@@ -40,10 +39,10 @@ def calibrate(
         "MAP...",
     ),
     given: Given,
-    sensor: Annotated[Sensor, Without("fov", "range_max", "mount")],
+    reading: opt.MapSize,
+    sensor: Annotated[Sensor, Only("rays")],
     chosen: Annotated[Chosen, Only("index")],
     mounting: Annotated[Mounting, Only("sensor")],
-    reading: opt.MapSize,
     taken: opt.Resources,
     scans: list[Path] | None = option(
         None,

@@ -29,7 +29,6 @@ def changes(
         "the same name with .png.",
         metavar="YAML",
     ),
-    reading: opt.MapSize,
     logs: Annotated[Logs, Only("topic", "range_max")],
     mounting: Mounting,
     taken: opt.Resources,
@@ -67,7 +66,7 @@ def changes(
         inputs.check_target(path, ending, force=force, inputs=read)
     desk = inputs.desk_of(**vars(taken), cache=folder)
     files = inputs.as_recorded(logs, mounting=mounting)
-    job = Localize(maps=inputs.map_files(reading), scans=files)
+    job = Localize(maps=inputs.map_files(), scans=files)
     grid = desk.grid(map_path, job.maps, usable=True)
     once = Once()
     runs = (job.open(inputs.item_of(map_path, path), desk) for path in scans_paths)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Given, Only, Without
+from imgloc.cli.command import Given
 from imgloc.cli.console import LOG, emit, progress, say, width
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.io.files import display, is_there, map_name
@@ -15,7 +15,6 @@ from imgloc.options import (
     Cell,
     Chosen,
     Logs,
-    Mounting,
     Reach,
     Seed,
     Sensor,
@@ -31,8 +30,7 @@ if TYPE_CHECKING:
 _SIMULATED, _RECORDED = "evaluate without --scans", "evaluate --scans"
 #: Of which of the two options are that the other would not notice.
 _OF = {
-    **dict.fromkeys(("--rays", "--fov-deg", "--sigma", "--outliers", "--dropped"), (_SIMULATED,)),
-    **dict.fromkeys(("--clearance", "--sensor", "-n", "--count", "--seed"), (_SIMULATED,)),
+    **dict.fromkeys(("-n", "--count", "--seed"), (_SIMULATED,)),
     **dict.fromkeys(("--scans-index", "--sample"), (_RECORDED,)),
 }
 
@@ -40,15 +38,13 @@ _OF = {
 def evaluate(
     *,
     given: Given,
+    reading: opt.MapSize,
     maps: list[Path] = option(
         ...,
         "Maps: the YAML of map_server, an image with --resolution, or the name of a bundled map.",
         "MAP...",
         parse=lambda path: _map_of(path),
     ),
-    sensor: Annotated[Sensor, Without("range_max", "mount")],
-    mounting: Annotated[Mounting, Only("sensor")],
-    reading: opt.MapSize,
     chosen: Chosen,
     taken: opt.Resources,
     method: tuple[str, ...] = option(
@@ -64,7 +60,8 @@ def evaluate(
     range_max: Reach | None = None,
     scans: list[Path] | None = option(
         None,
-        "Recorded scans with poses, instead of simulated ones; once for each map.",
+        "Scans with poses, as imgloc simulate or a recording has them; once for each map. "
+        "[default: scans that are simulated here]",
         metavar="FILE",
     ),
     tolerance: opt.ToleranceOf = TOLERANCES[-1],
@@ -95,9 +92,7 @@ def evaluate(
     opt.refuse_others(given, _OF, {_SIMULATED if scans is None else _RECORDED})
     if scans is not None and len(scans) != len(maps):
         raise ConfigError(f"--scans: got {len(scans)} for {len(maps)} maps, expected one each")
-    laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
-    if scans is None:
-        sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
+    sensor = Sensor() if range_max is None else Sensor(range_max=range_max)
     how = inputs.as_recorded(Logs(range_max=range_max), chosen)
     table = list[dict[str, Any]]()
     with warned(also_printed=True) as said:
