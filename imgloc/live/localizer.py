@@ -657,7 +657,7 @@ class Robot:
         Dropped
             ``replaced``, ``reset``, ``late``; ``old``, if the stamp lies before that of the last
             scan of this laser; or ``ahead``, if the stamp leaps more than a second ahead of the
-            clock. A leap counts once stamps stay there for a second.
+            clock. The second stamp in a row that leaps counts.
         ScanError
             If the odometry is not finite, or leaps more than 1000 km between two scans.
         """

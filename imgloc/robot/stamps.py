@@ -7,8 +7,7 @@ from collections.abc import Callable
 FINE, OLD, AHEAD, ANEW = "", "old", "ahead", "anew"
 """What a stamp is; ANEW is fine, too, and all that is known of the time before is void."""
 LEAP = 1.0
-"""Seconds by which a stamp leaps back, or ahead of the clock, and for which others must follow it
-there before it is no error."""
+"""Seconds by which a stamp leaps back, or ahead of the clock: the first such one is an error."""
 
 
 class Heard:
@@ -35,9 +34,7 @@ class Heard:
 
 
 class Stamps:
-    """Judges each stamp by those before: a leap counts once stamps have stayed there for `LEAP`.
-
-    If every other stamp leaps, and a good one between two is lost, the leap is still an error.
+    """Judges each stamp by the one before: a leap counts from the second stamp that makes it.
 
     Parameters
     ----------
@@ -49,8 +46,8 @@ class Stamps:
     Examples
     --------
     >>> stamps = Stamps()
-    >>> [stamps.take(t, 9.0) for t in (8.0, 3.0, 8.1, 8.1, 3.0, 3.5, 4.0, 77.0, 4.2, 77.2, 78.2)]
-    ['', 'old', '', 'old', 'old', 'old', 'anew', 'ahead', '', 'ahead', '']
+    >>> [stamps.take(t, 9.0) for t in (8.0, 3.0, 8.1, 8.1, 3.0, 3.1, 77.0, 3.2, 77.2, 77.3)]
+    ['', 'old', '', 'old', 'old', 'anew', 'ahead', '', 'ahead', '']
     """
 
     def __init__(self, most: float = math.inf, *, shared: bool = False) -> None:
@@ -60,26 +57,28 @@ class Stamps:
     def start(self) -> None:
         """Know no stamp."""
         self.latest = -math.inf
-        self._leapt = FINE, math.nan, math.nan  # where to, from which stamp on, and the last one
+        self._back = self._ahead = math.nan  # the stamp before, if it leapt so
 
     def take(self, stamp: float, now: float = math.nan) -> str:
         """Judge a stamp, seconds; `now` is the time of the clock that it should be of.
 
         A stamp that is not known is fine.
         """
-        (to, first, last), self._leapt = self._leapt, (FINE, math.nan, math.nan)
+        back, ahead = self._back, self._ahead
+        self._back = self._ahead = math.nan
         if math.isnan(stamp):
             return FINE
         if stamp < self.latest - LEAP:
-            judged = OLD
-        elif stamp < self.latest or (stamp == self.latest and not self._shared):
+            self._back = stamp
+            if not stamp > back:
+                return OLD
+            self.latest = stamp
+            return ANEW
+        if stamp < self.latest or (stamp == self.latest and not self._shared):
             return OLD
-        else:
-            judged = AHEAD if stamp > now + LEAP and stamp > self.latest + LEAP else FINE
-        if judged != FINE:
-            begun = first if judged == to and stamp >= last else stamp
-            self._leapt = judged, begun, stamp
-            if stamp < begun + LEAP or (judged == AHEAD and stamp > now + self.most):
-                return judged
+        if stamp > now + LEAP and stamp > self.latest + LEAP:
+            self._ahead = stamp
+            if not ahead <= stamp or stamp > now + self.most:
+                return AHEAD
         self.latest = stamp
-        return ANEW if judged == OLD else FINE
+        return FINE
