@@ -548,7 +548,7 @@ class Tracker:
     def _explains(self, laser: Laser, mapped: bool) -> bool:
         """Return whether the map explains the last scan: at one place or at several.
 
-        `mapped` is as in :meth:`_agree`; on bent walls it says too little.
+        `mapped` is as in :meth:`_agree`; on bent walls it is no sign.
         """
         lost, misfit = self.how.fits
         fits = laser.last < misfit or (mapped and not self.options.shared.bent)

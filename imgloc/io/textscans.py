@@ -83,7 +83,8 @@ def read_jsonl(
                 with fields_of(ScanError, where):
                     beside.take(on, entry)
         except ScanError as error:
-            bad.skip(error, where if scans and where == cut else "")
+            whole = not isinstance(item, str) or _is_json(item)
+            bad.skip(error, where if scans and where == cut and not whole else "")
     counts = {t: len(entries) for t, entries in sorted(scans.items())}
     chosen = choose_topic(counts, topic, name) if counts else ""
     entries = scans.get(chosen, [])

@@ -9,7 +9,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.command import Without
 from imgloc.cli.console import emit, progress
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Headings, Options, Sensor, Spacing
+from imgloc.options import Headings, Options, Seed, Sensor, Spacing
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def atlas(
     ),
     step: Spacing = 0.5,
     headings: Headings = 4,
+    seed: Seed = 0,
     workers: opt.Workers = None,
     memory_budget: opt.MemoryBudget | None = None,
     as_json: opt.AsJson = False,
@@ -53,8 +54,8 @@ def atlas(
     grid = desk.grid(map_path, inputs.map_files(), usable=True)
     count = opt.count_threads(workers)
     poses, options = _poses(map_path, grid, desk, sensor, step, headings, count)
-    about = {"step": step, "headings": headings, "sensor": plain(asdict(sensor))}
-    scans, spots = simulate_at(grid, poses, sensor, 0, fine_image(map_path, grid)), list[Spot]()
+    about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(sensor))}
+    scans, spots = simulate_at(grid, poses, sensor, seed, fine_image(map_path, grid)), list[Spot]()
     many = _useful(count, len(scans))
     with progress("atlas", len(scans), lines=False) as advance:
         for spot in survey(grid, scans, options, sigma=sensor.sigma, workers=many):
