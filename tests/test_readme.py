@@ -75,9 +75,7 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("robot")
-def test_every_command_of_the_readme_runs_as_it_is_written(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_every_command_of_the_readme_runs_as_it_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
     for line in commands(README) + commands(TOUR) + commands(PAGES["compared.md"]):
         line, _, read = line.partition(" < ")
         if read:

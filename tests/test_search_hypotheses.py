@@ -14,13 +14,7 @@ from imgloc.geometry import rotate_covariance, transform_points
 from imgloc.likelihoods.posterior import entropy
 from imgloc.model import Pose2D
 from imgloc.search.covariance import covariances
-from imgloc.search.hypotheses import (
-    as_hypotheses,
-    centres,
-    first_in_cell,
-    masses,
-    modes,
-)
+from imgloc.search.hypotheses import as_hypotheses, centres, first_in_cell, masses, modes
 from imgloc.search.refine import residuals
 
 scores = arrays(float, st.integers(1, 12), elements=st.floats(-2000, 2000))

@@ -30,10 +30,7 @@ BLUES: Sequence[tuple[float, Colour, str]] = (
 )
 """Up to which bound of a pose by one scan, metres, the colour and the words."""
 _UNSEEN: Colour = (190, 186, 182)
-_MEANINGS = {
-    "no-match": "not recognized",
-    "wrong": "sure, but wrong",
-}
+_MEANINGS = {"no-match": "not recognized", "wrong": "sure, but wrong"}
 
 
 def _look(spot: Spot) -> tuple[Colour, str]:

@@ -64,12 +64,7 @@ class Frame(NamedTuple):
     where: BoolArray | None  #: (h, w) the wanted poses in the view; None for all
 
 
-def frame_of(
-    marked: BoolArray,
-    headings: int,
-    where: BoolArray | None,
-    out: Stack | None,
-) -> Frame:
+def frame_of(marked: BoolArray, headings: int, where: BoolArray | None, out: Stack | None) -> Frame:
     """Cut a stack down to the wanted poses (`where`) that can meet a `marked` cell.
 
     Maps often have a wide unknown border. A mask or a stack that does not fit the (H, W) of

@@ -144,10 +144,7 @@ def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> N
 
 
 def test_a_robot_that_says_nothing_for_long_is_followed_on() -> None:
-    with (
-        served(MAP, "--patience", 1) as one,
-        connect(one.track) as robot,
-    ):
+    with served(MAP, "--patience", 1) as one, connect(one.track) as robot:
         for index in range(3):
             robot.send(LINE)
             assert json.loads(robot.recv(60))["index"] == index

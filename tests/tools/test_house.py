@@ -10,13 +10,7 @@ from imgloc import doors
 from tools import house
 
 #: What comes through the doors in the wall by name, beside commands: filters, hints, a survey.
-DOORS = [
-    "aging_hint",
-    "survey_part",
-    "GridFilter",
-    "ParticleFilter",
-    "ParticleOptions",
-]
+DOORS = ["aging_hint", "survey_part", "GridFilter", "ParticleFilter", "ParticleOptions"]
 
 
 def files() -> list[house.File]:

@@ -55,7 +55,7 @@ RESULTS = {
                     "ms": 12.0, "rival_ms": 10.0, "value": 1.2}],
         "complexity": {
             "samples": TIMES,
-            "fits": [fit("beam", "run_s", "n", 0.98)],
+            "fits": [fit("beam", "run_s", "n", 0.98)]
         },
     },
 }  # fmt: skip

@@ -9,16 +9,7 @@ from imgloc.cli.command import Given
 from imgloc.cli.console import LOG, emit, progress, say, width
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.io.files import display, is_there, map_name
-from imgloc.options import (
-    ALL_METHODS,
-    TOLERANCES,
-    Cell,
-    Chosen,
-    Logs,
-    Reach,
-    Seed,
-    Sensor,
-)
+from imgloc.options import ALL_METHODS, TOLERANCES, Cell, Chosen, Logs, Reach, Seed, Sensor
 from imgloc.ranges import Within, option
 from imgloc.texts import names
 
