@@ -70,7 +70,7 @@ def batch(
     reading: opt.MapSize,
     logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
-    search: Annotated[Options, Only("method", "top", "theta_step")],
+    search: Annotated[Options, Only("method", "top", "theta_step", "max_speed", "max_turn")],
     known: Annotated[Known, Only("heading", "clearance")],
     scans: Path | None = option(None, "Folder tree of files of scans, or one file.", "[SCANS]"),
     job: Annotated[str, OneOf(*JOBS)] = option(

@@ -56,7 +56,7 @@ from imgloc.search.hypotheses import masses, separated
 
 _SURE = number("tracker.sure")  # odds of being lost, at most
 _MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
-_NOTHING = number("tracker.nothing")  # mass below which a component is dropped
+_NOTHING = 1 / _SURE  # mass below which a component is dropped
 _RESET = number("tracker.reset")  # mass of new components from which a scan counts as a reset
 
 Search = Callable[[LaserScan], Places]

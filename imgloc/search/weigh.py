@@ -25,8 +25,8 @@ _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
 FROM_CELLS: tuple[float, ...] = number("refine.from_cells")
 """Widths of the kernel that takes a pose from the centre of a cell to where it fits, metres."""
-MODES: int = 2 * number("FusedOptions.least_look")
-"""Least number of poses to look for: twice the list, so that no verdict depends on its length."""
+MODES: int = number("pipeline.modes")
+"""Least number of poses to look for, so that no verdict depends on the length of the list."""
 # Nats for a map that explains e times as many pieces of a scan: per logarithm of e.
 _PIECES = number("weigh.pieces")
 _FLOOR = number("floor.against")  # nats against a pose that is found without a floor
