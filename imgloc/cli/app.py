@@ -321,11 +321,15 @@ def _in_order(words: list[str]) -> list[str]:
 
     >>> _in_order(["localize", "a.yaml", "--threads", "2", "-v", "--", "-v"])
     ['--threads', '2', '-v', 'localize', 'a.yaml', '--', '-v']
+    >>> _in_order(["localize", "a.yaml", "--threads"])
+    ['--threads']
     """
     end = next((k for k, word in enumerate(words) if word in _ENDS), len(words))
     first, rest, last = list[str](), list[str](), ""
     for word in words[:end]:
-        own = word in _SWITCHES or word.partition("=")[0] in _VALUES or last in _VALUES
+        own = word.partition("=")[0] in (*_SWITCHES, *_VALUES) or last in _VALUES
         (first if own else rest).append(word)
         last = word
+    if last in _VALUES:  # no command is its value
+        return [last]
     return [*first, *rest, *words[end:]]
