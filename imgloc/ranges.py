@@ -239,6 +239,8 @@ def value_of(field: Declared, text: str) -> Any:
         with contextlib.suppress(ValueError):
             value = number(text)
             value = math.radians(value) if field.in_degrees else _whole(text, value, kind)
+    elif kind is Path and not text:
+        raise ConfigError("got nothing, expected a path")
     elif kind is not str and kind is not Any:
         value = kind(text)
     check = check_of(field.hint)

@@ -27,16 +27,9 @@ def chunk(kind: bytes, body: bytes) -> bytes:
 
 
 def png(
-    width: int,
-    height: int,
-    depth: int,
-    colour: int,
-    rows: Sequence[bytes],
-    *,
-    before: bytes = b"",
-    idat: bytes | None = None,
-    interlace: int = 0,
-) -> bytes:
+    width: int, height: int, depth: int, colour: int, rows: Sequence[bytes], *, before: bytes = b"",
+    idat: bytes | None = None, interlace: int = 0,
+) -> bytes:  # fmt: skip
     """Write a PNG by hand: `rows` without their filter bytes, `before` = chunks before IDAT."""
     header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, interlace)
     pixels = zlib.compress(b"".join(b"\0" + row for row in rows)) if idat is None else idat

@@ -198,6 +198,8 @@ def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> Non
 @pytest.mark.parametrize(("words", "said"), [
     ("batch curved s.npz --out o --threads 2", "--threads: is no option here; imgloc localize has"),
     ("report output --json", "--json: is no option here; this command would not notice it"),
+    ("batch curved --out o --force", "--force: is no option here; nothing would be written over"),
+    ("localize curved s.npz --cache=", "--cache: got nothing, expected a path"),
     ("localize curved s.npz --threads 0", "--threads: got 0, expected a whole number, 1 or more"),
 ])  # fmt: skip
 def test_an_option_of_the_program_is_refused_where_nothing_notices_it(
@@ -206,6 +208,14 @@ def test_an_option_of_the_program_is_refused_where_nothing_notices_it(
     call(*words.split()).ends(2, said, out="")
     switch = words.split()[-2 if words[-1].isdigit() else -1 :]
     call(*switch, *words.split()[: -len(switch)]).ends(2, said, out="")
+
+
+@pytest.mark.parametrize("line", [
+    "localize curved s.npz --threads", "localize curved s.npz --cache --json",
+    "--memory-budget localize curved s.npz", "--cache --no-cache localize curved s.npz",
+])  # fmt: skip
+def test_an_option_of_the_program_takes_no_option_and_no_command_for_its_value(line: str) -> None:
+    call(*line.split()).ends(2, "requires an argument", out="")
 
 
 def test_all_methods_are_measured_by_name() -> None:

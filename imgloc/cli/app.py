@@ -327,9 +327,13 @@ def _in_order(words: list[str]) -> list[str]:
     end = next((k for k, word in enumerate(words) if word in _ENDS), len(words))
     first, rest, last = list[str](), list[str](), ""
     for word in words[:end]:
-        own = word.partition("=")[0] in (*_SWITCHES, *_VALUES) or last in _VALUES
+        name = word.partition("=")[0]
+        # What an option lacks is neither another option nor the command.
+        if last in _VALUES and (name in (*_SWITCHES, *_VALUES) or (word in _COMMANDS and not rest)):
+            break
+        own = name in (*_SWITCHES, *_VALUES) or last in _VALUES
         (first if own else rest).append(word)
         last = word
-    if last in _VALUES:  # no command is its value
+    if last in _VALUES:
         return [last]
     return [*first, *rest, *words[end:]]

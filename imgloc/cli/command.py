@@ -40,6 +40,7 @@ GONE: Mapping[str, str] = {
                      "theta-step-deg", "cell"), "imgloc localize has it"),
     "threads": "imgloc localize has it, imgloc batch has --workers",
     "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
+    "force": "nothing would be written over; imgloc batch has --resume",
     **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),
                     "imgloc simulate has it, and --scans takes the file that it writes"),
 }  # fmt: skip

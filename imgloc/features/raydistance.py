@@ -143,13 +143,9 @@ def _rotate(image: npt.NDArray[np.uint8], psi: float) -> tuple[npt.NDArray[np.ui
 
 
 def _look(
-    canvas: npt.NDArray[np.uint8],
-    turn: FloatArray,
-    solid: BoolArray,
-    resolution: float,
-    limit: np.uint16,
-    out: npt.NDArray[np.uint16],
-) -> None:
+    canvas: npt.NDArray[np.uint8], turn: FloatArray, solid: BoolArray, resolution: float,
+    limit: np.uint16, out: npt.NDArray[np.uint16],
+) -> None:  # fmt: skip
     """Write the distance, in cm, from each block to the first wall down its column of `canvas`."""
     hit = _next_hit(canvas)
     height, width = solid.shape

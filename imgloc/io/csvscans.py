@@ -516,6 +516,10 @@ class _Table:
             found = "other numbers, such as intensities, or marks of thousands are in the ranges"
             expected = "ranges as 1234.5, or a first line of names: range0,intensity0,range1 ..."
             raise ScanError(f"{self.name}: {found}; expected {expected}")
+        rear = table[:, table.shape[1] // 2 :]
+        if rear.size > _MANY and np.all(rear == rear[0, 0]) and np.ptp(table) > 0:
+            text = f"half of each line is {rear[0, 0]:g}: if that is no range, name the columns"
+            _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
 
     def _readings(self, by: Mapping[str, int], roles: Sequence[Role]) -> ScanSet:
         """The scans of a table with a reading a line."""

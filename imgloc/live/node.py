@@ -1074,15 +1074,10 @@ def ros_node(
 
 
 def run_node(
-    ros: Any,
-    words: Sequence[str],
-    settings: Settings,
-    makers: Mapping[str, Maker],
-    options: Options,
-    prepared: Callable[[str, Site], object] | None = None,
-    *,
+    ros: Any, words: Sequence[str], settings: Settings, makers: Mapping[str, Maker],
+    options: Options, prepared: Callable[[str, Site], object] | None = None, *,
     lifecycle: bool = False,
-) -> int:
+) -> int:  # fmt: skip
     """Run a node until a signal ends it; return the exit code, 0.
 
     Parameters
