@@ -413,11 +413,11 @@ def test_an_echo_whose_step_cannot_be_is_left_out(tmp_path: Path, step: str) -> 
     assert len(load_scans(path, max_bad=0.5)) == 2
 
 
-def test_a_half_of_each_line_that_is_one_number_is_warned_of(tmp_path: Path, caplog) -> None:
-    lines = [[*row, *[0] * RAYS] for row in RANGES.tolist()]
-    (tmp_path / "a.csv").write_text(table([], lines))
-    assert len(load_scans(tmp_path / "a.csv", fov=np.pi)[0].ranges) == 2 * RAYS  # a blind half
-    assert "half of each line is 0" in caplog.text
+@pytest.mark.parametrize(("rest", "warned"), [(0, True), (47, True), (np.inf, False)])
+def test_a_half_of_each_line_that_is_one_number(tmp_path: Path, caplog, rest, warned) -> None:
+    (tmp_path / "a.csv").write_text(table([], [[*row, *[rest] * RAYS] for row in RANGES.tolist()]))
+    assert len(load_scans(tmp_path / "a.csv", fov=np.pi)[0].ranges) == 2 * RAYS
+    assert ("half of each line is" in caplog.text) == warned  # open space is no intensity
 
 
 def test_a_cell_longer_than_any_is_a_broken_line(tmp_path: Path) -> None:

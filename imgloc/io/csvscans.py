@@ -502,7 +502,8 @@ class _Table:
     def _refuse_between(self, table: FloatArray) -> None:
         """ScanError for numbers that are no ranges between ranges, or after them.
 
-        A range is like the next one, and intensities are more like each other; they are whole.
+        A range is like the next one, and intensities are more like each other; they are whole. If
+        they are all one number, half of the sensor may be covered as well: that is a warning.
         """
         seen = np.where(np.isfinite(table) & (table > 0), table, np.nan)
         steps = (np.abs(seen[:, k:] - seen[:, :-k]) for k in (1, 2, 3))
@@ -516,10 +517,10 @@ class _Table:
             found = "other numbers, such as intensities, or marks of thousands are in the ranges"
             expected = "ranges as 1234.5, or a first line of names: range0,intensity0,range1 ..."
             raise ScanError(f"{self.name}: {found}; expected {expected}")
-        rear = table[:, table.shape[1] // 2 :]
-        if rear.size > _MANY and np.all(rear == rear[0, 0]) and np.ptp(table) > 0:
+        front, rear = np.array_split(table, 2, axis=1)
+        if np.all(rear == rear[0, 0]) and np.isfinite(rear[0, 0]) and np.any(front != rear[0, 0]):
             text = f"half of each line is {rear[0, 0]:g}: if that is no range, name the columns"
-            _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
+            _LOG.warning("%s: %s", self.name, text, extra={"code": "intensities"})
 
     def _readings(self, by: Mapping[str, int], roles: Sequence[Role]) -> ScanSet:
         """The scans of a table with a reading a line."""

@@ -371,10 +371,8 @@ def _floors_of(
     near = building.GAPS[0 if leaves else 1] / cell
     labels, stats = masks.pieces(masks.grown(taken, max(1, round(near))))
     floors = list[Floor]()
-    spans, at = (
-        masks.spans(stats),
-        np.array([sheet.at(d.closed, labels, cell) for d in leaves], int),
-    )
+    spans = masks.spans(stats)
+    at = np.array([sheet.at(d.closed, labels, cell) for d in leaves], int)
     doors = np.bincount(at, minlength=len(stats))[1:].max(initial=0) > 1
     for k in np.argsort(-spans, kind="stable").tolist():
         most = max((f.area for f in floors), default=0)

@@ -53,6 +53,19 @@ class Between:
     body: BoolArray  #: walls that are drawn as lines, with these
 
 
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """Walls that enclose the building."""
+
+    thinnest: float  #: what is thinner was no wall, metres
+    walls: BoolArray  #: pixels, without frames and pillars
+    pillars: BoolArray  #: pixels
+    swings: list[Door]
+    inside: BoolArray  #: cells
+    gap: float  #: openings up to so wide count as closed, metres
+    frame: BoolArray  #: pixels of frames round the sheet
+
+
 def plan_to_map(
     grey: npt.NDArray[np.uint8], resolution: float, *, origin: Pose2D | None = None,
     cell: float | None = None, thinnest: float | None = None, thickest: float | None = None,
@@ -128,16 +141,15 @@ def plan_to_map(
     thin = max(thinnest, min(building.SOFT * max(pen, building.SOFT * resolution), building.PEN))
     tried = (thickest,) if thickest is not None else building.THICKEST
     between, frame = _lined(drawn, bold, resolution, tried, thin, parts, pixel, gap, advance)
-    (least, solid, pillars, swings, within, closed), frame = _enclosing(
-        drawn, bold, frame, between, thin, parts, pixel, gap, advance
-    )
-    inside, solid = masks.finer(within, parts), solid & ~frame
-    walls = building.touching(solid | pillars, inside)
-    kinds = _kinds(drawn, walls, inside, between.hatching, frame, swings, pixel)
+    found = _enclosing(drawn, bold, frame, between, thin, parts, pixel, gap, advance)
+    inside, solid = masks.finer(found.inside, parts), found.walls & ~found.frame
+    walls = building.touching(solid | found.pillars, inside)
+    kinds = _kinds(drawn, walls, inside, between.hatching, found.frame, found.swings, pixel)
     plan = building.finished(
-        walls, within, kinds, cell, origin or Pose2D(0, 0), [d.width * pixel for d in swings],
-        gap=closed, thinnest=least, thickest=between.thickest, inverted=inverted,
-        other_area=_elsewhere(solid, within, cell, closed),
+        walls, found.inside, kinds, cell, origin or Pose2D(0, 0),
+        [door.width * pixel for door in found.swings],
+        gap=found.gap, thinnest=found.thinnest, thickest=between.thickest, inverted=inverted,
+        other_area=_elsewhere(solid, found.inside, cell, found.gap),
     )  # fmt: skip
     return replace(plan, framed_area=_framed(plan.grid.occupied, cell, gap) * cell**2)
 
@@ -167,14 +179,8 @@ def _lined(
 def _enclosing(
     drawn: BoolArray, bold: BoolArray, frame: BoolArray, between: Between, thin: float,
     parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
-) -> tuple[
-    tuple[float, BoolArray, BoolArray, list[Door], BoolArray, float], BoolArray
-]:  # fmt: skip
-    """The walls that enclose the building, no thinner than needed: `thin` metres if possible.
-
-    Returns their least thickness, metres; walls and pillars, pixels; swings of doors; cells inside,
-    with openings up to so many metres closed; and pixels of frames round the sheet.
-    """
+) -> Enclosed:  # fmt: skip
+    """The walls that enclose the building, no thinner than needed: `thin` metres if possible."""
     best, best_area = None, building.LEAST / (parts * pixel) ** 2
     for share in _THINNER:
         walls, pillars, short, swings = _walls(drawn, bold, between, share * thin, pixel)
@@ -202,7 +208,7 @@ def _enclosing(
             )
         size = f"{wide * pixel:.3g} x {high * pixel:.3g} m"
         raise MapError(f"{why}; the drawing is {size}; is the resolution right?")
-    return best, frame
+    return Enclosed(*best, frame)
 
 
 def _walls(
