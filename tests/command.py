@@ -18,8 +18,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import typer
+from typer.main import get_command
 
-from imgloc.cli.app import main
+from imgloc.cli.app import main, program
 
 ROOT = Path(__file__).resolve().parents[1]
 MAPS = ROOT / "maps"
@@ -29,6 +31,19 @@ MAPS = ROOT / "maps"
 def parsed(path: Path) -> ast.Module:
     """The syntax tree of a file, which several tests look through."""
     return ast.parse(path.read_text("utf-8"))
+
+
+@cache
+def tree() -> Any:
+    """The program with all commands."""
+    return get_command(program())
+
+
+def params_of(command: Any) -> list[Any]:
+    """The parameters of a command, those of the program that it takes among them."""
+    root = typer.Context(tree())
+    own = command.get_params(root if command is tree() else typer.Context(command, parent=root))
+    return [param for param in own if param.name != "help"]
 
 
 class Run(NamedTuple):

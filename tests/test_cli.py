@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from command import MAPS, ROOT, call, command, parsed, rows, simulating, spawn
+from command import MAPS, ROOT, call, command, params_of, parsed, rows, simulating, spawn, tree
 
 import imgloc
 from imgloc.__main__ import main as imgloc_command
 from imgloc.cli import app
-from imgloc.cli.app import program
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DEMO_MAPS
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError, as_options
@@ -78,7 +77,7 @@ def test_a_prepared_map_waits_for_no_library_that_it_does_not_use(
 
 def options_of(command: Any) -> set[str]:
     """Names of the options of a command and of all below it."""
-    own = {name for p in command.params for name in (*p.opts, *p.secondary_opts)}
+    own = {name for p in params_of(command) for name in (*p.opts, *p.secondary_opts)}
     below = getattr(command, "commands", {}).values()
     return own.union({"--help"}, *map(options_of, below))
 
@@ -102,7 +101,7 @@ def _texts_of(nodes: list[ast.AST]) -> Iterator[str]:
 
 
 def test_messages_name_only_options_that_exist() -> None:
-    known = options_of(typer.main.get_command(program())) | {"--ros-args"}  # of ROS
+    known = options_of(tree()) | {"--ros-args"}  # of ROS
     assert {"--memory-budget", "--no-negate", "--what"} <= known
     named: dict[str, str] = {}
     for path in (ROOT / "imgloc").rglob("*.py"):

@@ -13,10 +13,9 @@ from typing import Annotated, Any
 
 import pytest
 import typer
-from command import MAPS, ROOT, call, parsed
+from command import MAPS, ROOT, call, params_of, parsed, tree
 
 from imgloc.cli import app
-from imgloc.cli.app import program
 from imgloc.cli.command import GONE, Only, Without, command, value_of
 from imgloc.errors import _ARGUMENT, ConfigError, as_options
 from imgloc.options import ALL_METHODS, Known, Options, Reading, Sensor
@@ -27,7 +26,7 @@ def commands(
     below: Any = None, words: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Each command of the program, with its words."""
-    below = typer.main.get_command(program()) if below is None else below
+    below = tree() if below is None else below
     yield words, below
     for name, one in getattr(below, "commands", {}).items():
         yield from commands(one, (*words, name))
@@ -37,7 +36,7 @@ COMMANDS = {" ".join(words): one for words, one in commands() if words}
 
 
 def flags(one: Any) -> list[str]:
-    return [name for param in one.params for name in (*param.opts, *param.secondary_opts)]
+    return [name for param in params_of(one) for name in (*param.opts, *param.secondary_opts)]
 
 
 def test_an_option_that_is_added_in_one_place_is_everywhere(tmp_path: Path) -> None:
@@ -78,7 +77,7 @@ def test_each_text_of_the_help_stands_on_its_own(words: str) -> None:
     leans = re.compile(
         r"\bas of\b|\bditto\b|\blikewise\b|\babove\b|\bthe same as\b|\bsaid\b|\btold\b|^Of |\btoo\)"
     )
-    for param in COMMANDS[words].params:
+    for param in params_of(COMMANDS[words]):
         text = param.help or ""
         if param.name in ("help", "install_completion", "show_completion"):
             continue
@@ -180,7 +179,7 @@ def test_what_a_hint_names_the_command_has_or_it_says_what_to_do_instead() -> No
     named = (said_by(ROOMS) & every) - OWN
     assert {"--topic", "--fov-deg", "--odom", "--negate", "--resolution"} <= named
     for words, one in COMMANDS.items():
-        files = [p for p in one.params if p.param_type_name == "argument"]
+        files = [p for p in params_of(one) if p.param_type_name == "argument"]
         if any("Folder" not in (p.help or "") for p in files):
             of_maps = {"--resolution"} if words == "convert" else set()
             assert sorted(named - {*flags(one)} - ways - of_maps) == [], words
@@ -200,6 +199,8 @@ def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> Non
     ("report output --json", "--json: is no option here; this command would not notice it"),
     ("batch curved --out o --force", "--force: is no option here; nothing would be written over"),
     ("localize curved s.npz --cache=", "--cache: got nothing, expected a path"),
+    ("demo --resolution 1", "--resolution: is no option here; imgloc map check MAP with it"),
+    ("localize curved s.npz --resolution 0", "--resolution: got 0, expected metres, 0.001 to 10"),
     ("localize curved s.npz --threads 0", "--threads: got 0, expected a whole number, 1 or more"),
 ])  # fmt: skip
 def test_an_option_of_the_program_is_refused_where_nothing_notices_it(
@@ -213,9 +214,14 @@ def test_an_option_of_the_program_is_refused_where_nothing_notices_it(
 @pytest.mark.parametrize("line", [
     "localize curved s.npz --threads", "localize curved s.npz --cache --json",
     "--memory-budget localize curved s.npz", "--cache --no-cache localize curved s.npz",
+    "localize curved s.npz --topic --near 1,2,3", "batch curved s.npz --out --resume",
 ])  # fmt: skip
-def test_an_option_of_the_program_takes_no_option_and_no_command_for_its_value(line: str) -> None:
+def test_an_option_takes_no_option_and_no_command_for_its_value(line: str) -> None:
     call(*line.split()).ends(2, "requires an argument", out="")
+
+
+def test_a_wrong_name_is_told_from_those_of_the_program() -> None:
+    call("localize", "curved", "s.npz", "--jsno").ends(2, "No such option", "--json", out="")
 
 
 def test_all_methods_are_measured_by_name() -> None:
@@ -228,7 +234,7 @@ def test_each_option_is_in_a_guide_or_an_example() -> None:
     pages = [ROOT / "README.md", *(ROOT / "tools" / "docs").glob("*.md")]
     lines = [" ".join(lines) for group in app._GROUPS.values() for lines in group.values()]
     text = "\n".join([*(page.read_text("utf-8") for page in pages), *lines])
-    ours = {param.opts[0] for one in COMMANDS.values() for param in one.params
+    ours = {param.opts[0] for one in COMMANDS.values() for param in params_of(one)
             if param.opts[0].startswith("--")} - {"--version"}  # fmt: skip
     known = {*re.findall(r"--[a-z][a-z-]+", text)}
     known |= {f"--{name.replace('_', '-')}" for name in re.findall(r"`([a-z_]+)`", text)}

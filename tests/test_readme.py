@@ -11,13 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer.main
-from command import ROOT, call
+import typer
+from command import ROOT, call, params_of, tree
 from places import room_with_a_post
 
 from imgloc.cli import app
-from imgloc.cli.app import program
-from imgloc.cli.command import PROGRAM
 from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.model import Pose2D
@@ -113,12 +111,12 @@ def test_the_example_files_are_read() -> None:
 
 @pytest.mark.parametrize("name", list(PAGES))
 def test_every_command_of_a_page_parses(name: str) -> None:
-    tree = typer.main.get_command(program())
+    root = typer.Context(tree())
     for line in commands(PAGES[name]):
-        command, words = tree, [word for word in shlex.split(line) if word not in PROGRAM]
+        command, words = tree(), shlex.split(line)
         while hasattr(command, "commands"):
             command = command.commands[words.pop(0)]
-        with command.make_context("imgloc", words):
+        with command.make_context("imgloc", words, parent=root):
             pass
 
 
@@ -129,10 +127,10 @@ def test_what_a_page_names_is_there(name: str) -> None:
         assert (folder / link).exists(), link
     for module in re.findall(r"python -m (tools[\w.]*)", PAGES[name]):
         assert find_spec(module) is not None, module
-    known, groups = {"--help"}, [typer.main.get_command(program())]
+    known, groups = {"--help"}, [tree()]
     while groups:
         command = groups.pop()
-        known |= {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
+        known |= {o for p in params_of(command) for o in (*p.opts, *p.secondary_opts)}
         groups += getattr(command, "commands", {}).values()
     assert set(re.findall(r"`(--[a-z-]+)", PAGES[name])) <= known
 

@@ -7,11 +7,9 @@ from dataclasses import is_dataclass
 from typing import Any
 
 import pytest
-import typer.main
-from command import ROOT
+from command import ROOT, params_of, tree
 
 from imgloc import options
-from imgloc.cli.app import program
 from imgloc.live import bounds, openapi, settings
 from imgloc.live.parameters import option, schema_of
 from imgloc.ranges import Declared, OneOf, Within, declared, help_of
@@ -30,11 +28,11 @@ OWN = {"map", "scans", "name", "topic", "index", "pose", "scale", "thinner", "be
 def typed() -> dict[str, set[str]]:
     """The help of each option, by its name, of all commands that have it."""
     found: dict[str, set[str]] = {}
-    waiting: list[Any] = [typer.main.get_command(program())]
+    waiting: list[Any] = [tree()]
     while waiting:
         one = waiting.pop()
         waiting += getattr(one, "commands", {}).values()
-        for param in one.params:
+        for param in params_of(one):
             found.setdefault(param.opts[0], set()).add(param.help or "")
     return found
 

@@ -206,8 +206,7 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
-_SWITCHES = ("--verbose", "-v", "--debug", "--json", "--force", "--no-cache")
-_VALUES, _ENDS = ("--threads", "--memory-budget", "--cache"), ("--", "--ros-args")
+_SWITCHES, _ENDS = ("--verbose", "-v", "--debug"), ("--", "--ros-args")
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
 
@@ -251,6 +250,14 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
     To make all options takes a while, and no line needs more than its own; None is any line.
     """
     named = None if words is None else frozenset(words)
+    from imgloc.cli.program import Kept, Resources, Written
+
+    shared: list[Any] = [Written, Resources, Kept]
+    if named is None or named:
+        from imgloc.cli.options import MapImages
+        from imgloc.options import Chosen, Logs, Mounting
+
+        shared = [MapImages, Logs, Chosen, Mounting, *shared]
     groups = {
         # No rich: help has to appear at once, and examples have to stay as they are typed.
         name: typer.Typer(
@@ -268,7 +275,7 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             return _unmade
         from imgloc.cli.command import command
 
-        return command(command_of(name))
+        return command(command_of(name), *shared)
 
     for group, commands in _GROUPS.items():
         for name, (about, *lines) in commands.items():
@@ -279,9 +286,8 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
     from imgloc.cli.command import with_options_of_program
-    from imgloc.cli.program import Kept, Resources, Written
 
-    start = with_options_of_program(root, Written, Resources, Kept)
+    start = with_options_of_program(root, *shared)
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(start)
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."
@@ -317,23 +323,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _in_order(words: list[str]) -> list[str]:
-    """A line with the options of the program first: these may be typed anywhere in it.
+    """A line with the switches of the program first: these may be typed anywhere in it.
 
     >>> _in_order(["localize", "a.yaml", "--threads", "2", "-v", "--", "-v"])
-    ['--threads', '2', '-v', 'localize', 'a.yaml', '--', '-v']
-    >>> _in_order(["localize", "a.yaml", "--threads"])
-    ['--threads']
+    ['-v', 'localize', 'a.yaml', '--threads', '2', '--', '-v']
     """
     end = next((k for k, word in enumerate(words) if word in _ENDS), len(words))
-    first, rest, last = list[str](), list[str](), ""
-    for word in words[:end]:
-        name = word.partition("=")[0]
-        # What an option lacks is neither another option nor the command.
-        if last in _VALUES and (name in (*_SWITCHES, *_VALUES) or (word in _COMMANDS and not rest)):
-            break
-        own = name in (*_SWITCHES, *_VALUES) or last in _VALUES
-        (first if own else rest).append(word)
-        last = word
-    if last in _VALUES:
-        return [last]
-    return [*first, *rest, *words[end:]]
+    return sorted(words[:end], key=lambda word: word not in _SWITCHES) + words[end:]

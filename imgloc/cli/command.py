@@ -21,7 +21,7 @@ from typer.core import TyperCommand
 
 from imgloc import ranges
 from imgloc.cli.console import LACKS
-from imgloc.cli.typed import as_typed
+from imgloc.cli.typed import SHARED, Shares
 from imgloc.errors import ConfigError
 from imgloc.ranges import Declared, OneOf, Option, declaration, declared, help_of
 from imgloc.texts import WITH_COMMAS
@@ -41,6 +41,7 @@ GONE: Mapping[str, str] = {
     "threads": "imgloc localize has it, imgloc batch has --workers",
     "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
     "force": "nothing would be written over; imgloc batch has --resume",
+    **dict.fromkeys(("json", "cache", "no-cache"), "this command would not notice it"),
     **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),
                     "imgloc simulate has it, and --scans takes the file that it writes"),
 }  # fmt: skip
@@ -49,14 +50,12 @@ USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
     "--sensor", "--flipped", "--range-max", "--resolution", "--force",
 )  # fmt: skip
-#: Options of the program, which each command that notices them takes, wherever they are typed.
-PROGRAM = ("--json", "--force", "--threads", "--memory-budget", "--cache", "--no-cache")
-_PROGRAM = "imgloc.program"  # where a context has their texts
 _FIRST, _FEW = 10, 16  # usual options; options of a command that needs no groups
 _PANELS = {
     "Options": "Search", "Known": "Known of the pose", "Drawn": "Search", "Mounting": "Scans",
     "Logs": "Scans", "Chosen": "Scans", "MapImages": "Map image", "Sensor": "Simulated laser",
     "Followed": "Filter", "Settings": "Options",
+    **dict.fromkeys(("Written", "Resources", "Kept"), "Program"),
 }  # fmt: skip
 _CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 Given = frozenset[str]  #: names of the options that were typed, as they are written
@@ -82,17 +81,13 @@ class Without(Only):
         return name not in self.names
 
 
-class Command(TyperCommand):
+class Command(Shares, TyperCommand):
     """A command whose help has groups, and which knows what else to do for some options."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, the usual options, and the others by what they are about."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        root, noticed = ctx.find_root(), getattr(self.callback, "of_program", ())
-        ours = [p for p in root.command.params if p.opts[0] in noticed] if root is not ctx else []
-        for param in ours:
-            param.rich_help_panel = "Program"
-        params = [(param, param.get_help_record(ctx)) for param in [*self.get_params(ctx), *ours]]
+        params = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
         shown = [(param, record) for param, record in params if record is not None]
         own = {name: record for param, record in shown for name in param.opts}
         first = [own[name] for name in USUAL if name in own][:_FIRST]
@@ -110,14 +105,9 @@ class Command(TyperCommand):
                 with formatter.section(title):
                     formatter.write_dl(records)
 
-    def get_params(self, ctx: Any) -> Any:
-        """The options, and that for help."""
-        return as_typed(super().get_params(ctx))
-
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; an option of other commands is a ConfigError with a hint."""
-        own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
-        own |= getattr(self.callback, "of_program", set())
+        own = {name for p in self.get_params(ctx) for name in (*p.opts, *p.secondary_opts)}
         lacking = {f"--{name}": hint for name, hint in GONE.items() if f"--{name}" not in own}
         ctx.meta.setdefault(LACKS, {}).update(lacking)
         for word in args[: args.index("--")] if "--" in args else args:
@@ -146,8 +136,12 @@ class _Part:
         return values.get(self.name, self.fields[0].default)
 
 
-def command(function: Callable[..., None]) -> Callable[..., None]:
-    """Make a command of a function: what Typer is to call, with the options that it declares."""
+def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
+    """Make a command of a function: what Typer is to call, with the options that it declares.
+
+    The program has the options of these classes: see :func:`with_options_of_program`.
+    """
+    ours = {field.option for kind in kinds for field in declared(kind)} - {None}
     hints = get_type_hints(function, include_extras=True)
     parts, parameters, aside = list[_Part](), list[inspect.Parameter](), dict[str, Any]()
     for parameter in inspect.signature(function).parameters.values():
@@ -157,18 +151,17 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             continue
         part = _part(parameter, hint)
         parts.append(part)
-        parameters += [_parameter(part, f) for f in part.fields if f.flag not in PROGRAM]
+        parameters += [_parameter(part, f) for f in part.fields if f.option not in ours]
     flags = {(_kind_name(p), f.name): f.flag for p in parts for f in p.fields}
     context = [name for name, hint in aside.items() if hint is typer.Context]
-    noticed = {flag for flag in flags.values() if flag in PROGRAM}
+    noticed = {f.flag for p in parts for f in p.fields if f.option in ours}
     parameters.append(_CONTEXT)
 
     @functools.wraps(function)
     def run(**raw: Any) -> None:
-        given = raw[_CONTEXT.name].meta.get(_PROGRAM, {})
-        if vain := given.keys() - noticed:
-            hint = GONE.get(min(vain)[2:], "this command would not notice it")
-            raise ConfigError(f"{min(vain)}: is no option here; {hint}")
+        given = raw[_CONTEXT.name].meta.get(SHARED, {})
+        if vain := given.keys() - flags.values():
+            raise ConfigError(f"{min(vain)}: is no option here; {GONE[min(vain)[2:]]}")
         values: dict[str, Any] = dict.fromkeys(context, raw[_CONTEXT.name])
         typed = Typed()
         with _flags_for(flags):
@@ -191,12 +184,13 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 def with_options_of_program(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
     """Give a function, which is called before each command, the options of these classes."""
     own = list(inspect.signature(function).parameters.values())
-    fields = [(_Part("", (), kind), field) for kind in kinds for field in declared(kind)]
+    some = [(_Part("", (), kind), field) for kind in kinds for field in declared(kind)]
+    fields = [(part, field) for part, field in some if field.option]
 
     def run(**raw: Any) -> None:
         texts = {field.flag: raw.pop(_key(part, field)) for part, field in fields}
-        given = {flag: text for flag, text in texts.items() if text is not None}
-        raw.pop(_CONTEXT.name).meta[_PROGRAM] = given
+        given = {flag: text for flag, text in texts.items() if text not in (None, [])}
+        raw.pop(_CONTEXT.name).meta[SHARED] = given
         function(**raw)
 
     signature = inspect.Signature([*own, *(_parameter(*one) for one in fields), _CONTEXT])

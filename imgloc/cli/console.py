@@ -19,7 +19,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from imgloc.cli.typed import as_typed
+from imgloc.cli.typed import Shares
 from imgloc.errors import STDERR, ConfigError, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
@@ -39,7 +39,7 @@ _SECTIONS = {
 }
 
 
-class Subgroup(TyperGroup):
+class Subgroup(Shares, TyperGroup):
     """Commands below one word."""
 
     def format_commands(self, _: Any, formatter: Any) -> None:
@@ -64,10 +64,6 @@ class Subgroup(TyperGroup):
                     f"{word}: expected a command before a file: imgloc {wanted} {path}"
                 )
         return super().resolve_command(ctx, args)
-
-    def get_params(self, ctx: Any) -> Any:
-        """The options of the group itself, and that for help."""
-        return as_typed(super().get_params(ctx))
 
 
 def _sentence(text: str) -> str:

@@ -1,10 +1,12 @@
-"""Words of the command line stay words: whoever declares an option reads its value.
+"""The parameters of a command, those that the program has for all commands among them.
 
-Recent versions of Typer let Pydantic read them, whose import takes as long as a whole help text.
+Words of the command line stay words: whoever declares an option reads its value. Recent versions
+of Typer let Pydantic read them, whose import takes as long as a whole help text.
 """
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -34,3 +36,37 @@ def as_typed(params: Sequence[Any]) -> Sequence[Any]:
         if make is not None:
             param.get_runtime_param = partial(_AsTyped, partial(make, param))
     return params
+
+
+SHARED = "imgloc.shared"  # where a context has the texts of options of the program
+
+
+class Shares:
+    """A command that takes options which are declared once, at the program."""
+
+    def shared(self, ctx: Any) -> list[Any]:
+        """The options of the program that this command takes."""
+        noticed, root = getattr(self, "callback", None), ctx.find_root()
+        names = getattr(noticed, "of_program", ())
+        return [p for p in root.command.params if p.opts[0] in names] if root is not ctx else []
+
+    def get_params(self, ctx: Any) -> Any:
+        """The options: its own, those of the program that it takes, and that for help."""
+        own = super().get_params(ctx)  # type: ignore[misc]
+        return as_typed([*own[:-1], *self.shared(ctx), *own[-1:]])
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line: what an option lacks is neither an option nor a command."""
+        below: Any = getattr(self, "commands", ())
+        ends = (k for k, word in enumerate(args) if word in below or word == "--")
+        options = [p for p in self.get_params(ctx) if p.param_type_name == "option"]
+        known = {name for p in options for name in (*p.opts, *p.secondary_opts)}
+        lacking = {name for p in options if not (p.is_flag or p.count) for name in p.opts}
+        for word, value in pairwise(args[: next(ends, len(args)) + 1]):
+            if word in lacking and (value.partition("=")[0] in known or value in below):
+                ctx.fail(f"Option {word!r} requires an argument.")
+        rest: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
+        texts = {p.opts[0]: ctx.params.pop(p.name) for p in self.shared(ctx)}
+        given = {flag: text for flag, text in texts.items() if text not in (None, [], ())}
+        ctx.meta.setdefault(SHARED, {}).update(given)
+        return rest

@@ -7,11 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import typer.main
 import yaml
-from command import ROOT, SAFE
+from command import ROOT, SAFE, params_of, tree
 
-from imgloc.cli.app import program
 from imgloc.filters.belief import Belief
 from imgloc.filters.follow import STANDING, Moment
 from imgloc.live.policy import FirstPose, Sighting
@@ -153,10 +151,9 @@ def test_without_ros_one_error_says_what_to_install() -> None:
 
 
 def test_the_command_has_the_defaults_of_the_node_and_so_has_the_file_of_parameters() -> None:
-    command = typer.main.get_command(program()).commands["node"]
     settings = vars(Settings())
-    said = {p.name.removeprefix("settings_") for p in command.params}
-    assert said >= {one.name for one in declared(Settings) if one.option}
+    said = {param.opts[0] for param in params_of(tree().commands["node"])}
+    assert said >= {one.flag for one in declared(Settings) if one.option}
     file = ROOT / "tools" / "ros" / "imgloc_ros" / "config" / "imgloc.params.yaml"
     written = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     assert {k: tuple(v) if isinstance(v, list) else v for k, v in written.items()} == {
