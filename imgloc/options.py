@@ -45,6 +45,16 @@ Angle = Annotated[float, Within(-6.2832, 6.2832, "radians")]  #: once around eit
 Radius = Annotated[float, Within(0.01, 1e6, "metres")]
 Turn = Annotated[float, Within(0.001, 3.2, "radians")]
 HeadingStep = Annotated[float, Within(math.radians(0.05), math.pi, "radians")]
+StepOf = Annotated[
+    HeadingStep,
+    Option(
+        "Step between the headings that are tried, degrees. [default: 1 for fused, the paper's "
+        "for the others]",
+        "--theta-step-deg",
+    ),
+]
+View = Annotated[float, Within(math.radians(0.01), math.tau, "radians")]
+Clearance = Annotated[float, Within(0, 1000, "metres")]
 Millimetres = Annotated[float, Within(0.001, 10, "metres")]  #: a cell of a map, or of poses
 
 RADIUS, TOLERANCE = number("options.near")
@@ -416,12 +426,7 @@ class Options(Checked):
         None,
         "Number of hypotheses to list. [default: as many as have 95 % of the mass, at least 5]",
     )
-    theta_step: HeadingStep | None = option(
-        None,
-        "Step between the headings that are tried, degrees. [default: 1 for fused, the paper's "
-        "for the others]",
-        "--theta-step-deg",
-    )
+    theta_step: StepOf | None = None
     engine: Annotated[
         str,
         OneOf("auto", "filter2d", "shift", "dft", "remap"),
@@ -585,15 +590,6 @@ RangeMax = Annotated[
         "return. [default: the file's]"
     ),
 ]
-Reach = Annotated[
-    float,
-    Within(1e-3, 1e6, "metres"),
-    Option(
-        "Reach of the sensor, metres: a recorded reading of this length or more, or a longer "
-        "simulated ray, counts as no return. [default: the file's, or 30 if simulated]",
-        "--range-max",
-    ),
-]
 Spacing = Annotated[
     float, Within(0.02, 1000, "metres"), Option("Distance between the places of an atlas, metres.")
 ]
@@ -744,7 +740,7 @@ class Known(Checked):
         f"compass gives it. [default: any; T = {TOLERANCE:g}]",
         metavar="YAW[,T]",
     )
-    clearance: Annotated[float, Within(0, 1000, "metres")] | None = option(
+    clearance: Clearance | None = option(
         None,
         "Consider only poses at least this far from walls and unknown space, metres: the radius "
         "of the robot. [default: 0]",
@@ -777,7 +773,7 @@ class Logs(Checked):
         metavar="NAME",
     )
     #: radians
-    fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] | None = option(
+    fov: View | None = option(
         None,
         "Angle from the first to the last ray, degrees, for a file that does not contain it. "
         "[default: the file's]",
@@ -881,9 +877,7 @@ class Sensor(Checked):
     """
 
     rays: Count = option(181, "Rays of a simulated scan.")
-    fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] = option(
-        math.pi, "Angle that a simulated scan covers, degrees.", "--fov-deg"
-    )
+    fov: View = option(math.pi, "Angle that a simulated scan covers, degrees.", "--fov-deg")
     sigma: Annotated[float, Within(0, 10, "metres")] = option(
         0.02, "Standard deviation of the noise of a simulated reading, metres."
     )
@@ -894,7 +888,7 @@ class Sensor(Checked):
         0.0, "Share of the simulated rays that end at something that is not on the map."
     )
     dropped: Share = option(0.0, "Share of the simulated rays that give no valid reading.")
-    clearance: Annotated[float, Within(0, 1000, "metres")] = option(
+    clearance: Clearance = option(
         0.3, "Distance of the simulated robot from walls and unknown space, metres."
     )
     mount: Pose2D = option(

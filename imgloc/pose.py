@@ -58,6 +58,11 @@ def wrapped_pose(x: float, y: float, theta: float) -> Pose2D:
     return Pose2D(x, y, math.remainder(theta, math.tau))
 
 
+def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:
+    """Distance in metres and angle in radians, 0..pi, between two poses."""
+    return math.hypot(a.x - b.x, a.y - b.y), abs(math.remainder(a.theta - b.theta, math.tau))
+
+
 def check_mount(mount: Pose2D, name: str) -> None:
     """Raise a ConfigError if a sensor sits more than :data:`MOUNTED` metres from its robot's base.
 

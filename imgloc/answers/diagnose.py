@@ -22,6 +22,7 @@ from imgloc.model import SURE, Evidence, LaserScan, Localization, Pose2D, base_o
 from imgloc.numbers import number
 from imgloc.options import SCALES, Options, Prior, Shared, Trust
 from imgloc.pipeline import localize
+from imgloc.pose import difference
 
 Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
@@ -405,9 +406,8 @@ class _Trial:
         for (a, before, one), (b, after, other) in combinations(found, 2):
             moved, there = compose(inverse(before), after), compose(inverse(a), b)
             most = _AGREED[0] + _AGREED[1] * math.hypot(moved.x, moved.y)
-            turned = abs(Pose2D(0.0, 0.0, there.theta - moved.theta).theta)
-            near = math.hypot(there.x - moved.x, there.y - moved.y) <= most
-            if near and turned <= math.radians(_AGREED[2]):
+            off, turned = difference(there, moved)
+            if off <= most and turned <= math.radians(_AGREED[2]):
                 return (one + other) / 2
         return None
 

@@ -36,6 +36,7 @@ from imgloc.model import VERDICTS, FloatArray, LaserScan, Localization, Pose2D, 
 from imgloc.numbers import number
 from imgloc.options import RADIUS, TOLERANCE, Options, Trust
 from imgloc.pipeline import localize, localize_many
+from imgloc.pose import difference
 from imgloc.robot.recording import Recording
 
 _LOG = logging.getLogger("imgloc")
@@ -239,8 +240,7 @@ def _started(
     if answer.verdict != "unique" or answer.pose is None:
         return None
     at = base_of(answer.pose, scans[0].T_base_laser or Pose2D(0.0, 0.0))
-    away = math.hypot(at.x - start.x, at.y - start.y)
-    turned = abs(Pose2D(0.0, 0.0, at.theta - start.theta).theta)
+    away, turned = difference(at, start)
     if away <= RADIUS and turned <= TOLERANCE:
         return None
     return cause("start", at=place_words(at), away=away)

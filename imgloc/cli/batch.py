@@ -26,7 +26,6 @@ from imgloc.options import (
     Logs,
     Mounting,
     Options,
-    Reach,
     Sure,
 )
 from imgloc.ranges import OneOf, Within, declared, option
@@ -68,7 +67,7 @@ def batch(
     out: Path = option(..., "Folder of the results.", metavar="DIR"),
     mounting: Mounting,
     reading: opt.MapSize,
-    logs: Annotated[Logs, Without("fov", "range_max")],
+    logs: Annotated[Logs, Without("fov")],
     chosen: Chosen,
     search: Annotated[Options, Only("method", "top", "theta_step", "max_speed", "max_turn")],
     known: Annotated[Known, Only("heading", "clearance")],
@@ -78,7 +77,6 @@ def batch(
         "Command whose work is done with each map and file of scans.",
     ),
     cell: Cell = 0.1,
-    range_max: Reach | None = None,
     tolerance: opt.ToleranceOf = TOLERANCES[-1],
     sure: Sure = NAMED,
     pictures: Annotated[str, OneOf("none", "doubtful", "all")] = option(
@@ -126,9 +124,7 @@ def batch(
     _refuse(given, job)
     offered: dict[str, Any] = {
         "maps": inputs.map_files(reading, many=True),
-        "scans": inputs.as_recorded(
-            replace(logs, range_max=range_max), chosen, mounting, many=True
-        ),
+        "scans": inputs.as_recorded(logs, chosen, mounting, many=True),
         "options": replace(search, theta_step=None).stepped(search.theta_step),
         "cell": cell,
         "known": known,

@@ -168,7 +168,8 @@ class _Sink:
         """Draw and print an answer, the `n`-th."""
         from imgloc.features.floor import as_located
         from imgloc.io.scanset import ScanSet
-        from imgloc.output.tables import difference, times_words
+        from imgloc.output.tables import times_words
+        from imgloc.pose import difference
 
         found = answer.of
         self.scans.append(answer.scan)

@@ -13,7 +13,7 @@ from imgloc.cli.program import Resources as Resources
 from imgloc.cli.program import count_threads as count_threads
 from imgloc.cli.program import fixed_budget as fixed_budget
 from imgloc.errors import ConfigError, MapError
-from imgloc.options import Count, HeadingStep, Logs, Reading, Tolerance
+from imgloc.options import Count, Logs, Reading, Tolerance
 from imgloc.ranges import Option
 from imgloc.texts import metres_degrees
 
@@ -89,14 +89,6 @@ ToleranceOf = Annotated[
         "--tolerance",
         metavar="M,DEG",
         parse=lambda text: Tolerance(*metres_degrees(text)),
-    ),
-]
-
-StepOf = Annotated[
-    HeadingStep,
-    Option(
-        "Step between the headings that are tried, degrees. [default: the paper's, 1 for fused]",
-        "--theta-step-deg",
     ),
 ]
 

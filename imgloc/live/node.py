@@ -67,6 +67,7 @@ from imgloc.model import (
     to_json,
 )
 from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Options
+from imgloc.pose import difference
 from imgloc.ranges import declared
 from imgloc.robot.frames import Frames
 from imgloc.robot.odometry import Odometry
@@ -989,8 +990,8 @@ def placed(
 
 def _still(then: Pose2D, here: Pose2D) -> bool:
     """Return whether a robot that was there has hardly moved."""
-    turned = abs(math.remainder(here.theta - then.theta, math.tau))
-    return math.hypot(here.x - then.x, here.y - then.y) < _STILL[0] and turned < _STILL[1]
+    metres, turned = difference(here, then)
+    return metres < _STILL[0] and turned < _STILL[1]
 
 
 def managed(

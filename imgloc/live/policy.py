@@ -37,6 +37,7 @@ from imgloc.filters.belief import LOST, one_place
 from imgloc.filters.follow import Moment
 from imgloc.live.settings import MEASURED, Rules
 from imgloc.model import Localization, Pose2D, compose, inverse
+from imgloc.pose import difference
 
 WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
     "waiting", "trying", "confirmed", "quiet", "given up",
@@ -152,4 +153,4 @@ def alone(answer: Localization) -> bool:
 
 def _apart(a: Pose2D | None, b: Pose2D | None) -> float:
     """Metres between two poses; 0 if one of them is not known."""
-    return 0.0 if a is None or b is None else math.hypot(b.x - a.x, b.y - a.y)
+    return 0.0 if a is None or b is None else difference(a, b)[0]

@@ -12,7 +12,7 @@ from imgloc.options import TOLERANCES, Options, Reading
 from imgloc.output.features import draw_map
 from imgloc.output.pages import render_explanation
 from imgloc.output.pictures import draw
-from imgloc.output.tables import difference
+from imgloc.pose import difference
 from imgloc.runs.opening import Drawing
 
 

@@ -18,7 +18,7 @@ from imgloc.model import Hypothesis, Pose2D, base_of
 from imgloc.output import svg
 from imgloc.output.export import flat
 from imgloc.output.pictures import draw_hypotheses, draw_likelihood
-from imgloc.output.tables import difference
+from imgloc.pose import difference
 
 HEADLINES = {
     "unique": "One pose explains this scan.",

@@ -16,6 +16,7 @@ from imgloc.model import (
     Thing,
     base_of,
 )  # fmt: skip
+from imgloc.pose import difference
 
 if TYPE_CHECKING:
     from imgloc.choice.choose import Choice
@@ -86,11 +87,6 @@ def as_plain(
 def pose_words(pose: Pose2D) -> str:
     """Return a pose in words."""
     return f"x {pose.x:.3f} m, y {pose.y:.3f} m, theta {math.degrees(pose.theta):.2f} deg"
-
-
-def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:
-    """Distance in metres and angle in radians, 0..pi, between two poses."""
-    return math.hypot(a.x - b.x, a.y - b.y), abs(Pose2D(0.0, 0.0, a.theta - b.theta).theta)
 
 
 def answer_header(mounted: bool = False) -> str:

@@ -11,7 +11,7 @@ from imgloc.cli.command import Given, Only
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import METHODS, Cell, Chosen, Logs, Mounting, Options, Reach, Seed, Sensor
+from imgloc.options import METHODS, Cell, Chosen, Logs, Mounting, Options, Seed, Sensor, StepOf
 from imgloc.ranges import Within, option
 from imgloc.texts import names
 
@@ -42,6 +42,7 @@ def calibrate(
     reading: opt.MapSize,
     sensor: Annotated[Sensor, Only("rays")],
     chosen: Annotated[Chosen, Only("index")],
+    logs: Annotated[Logs, Only("fov", "range_max")],
     mounting: Annotated[Mounting, Only("sensor")],
     taken: opt.Resources,
     scans: list[Path] | None = option(
@@ -56,18 +57,11 @@ def calibrate(
         metavar="NAMES",
         parse=names(list(METHODS)),
     ),
-    fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] | None = option(
-        None,
-        "Angle that a simulated scan covers, or a recorded one whose file does not contain it, "
-        "degrees. [default: 180, or the file's]",
-        "--fov-deg",
-    ),
-    range_max: Reach | None = None,
     count: Annotated[int, Within(1, 10_000, "")] = option(
         30, "Scans that are simulated on each map.", "-n", "--count"
     ),
     seed: Seed = 1000,
-    theta_step: opt.StepOf | None = None,
+    theta_step: StepOf | None = None,
     cell: Cell = 0.1,
     dry_run: bool = option(False, "Print the fit, and store nothing."),
     as_json: opt.AsJson = False,
@@ -80,7 +74,7 @@ def calibrate(
 
     Without --scans: a blur in x, y and theta and an exponent turn the votes or log-likelihoods of
     a method into probabilities. imgloc simulates scans and takes the blur and the exponent with
-    the greatest S (eq. 12).
+    the greatest S (eq. 12). They cover 180 degrees, or --fov-deg, and reach 30 m, or --range-max.
 
     With --scans, whose poses need not be known, imgloc finds three things: the factor by which all
     readings are too long or too short for the map; by how much the map draws its walls too thick,
@@ -102,10 +96,10 @@ def calibrate(
     targets = _targets(maps, paths, dry_run=dry_run, force=force)
     read = inputs.map_files(reading)
     if scans is not None:
-        how = inputs.as_recorded(Logs(fov=fov, range_max=range_max), chosen, mounting)
+        how = inputs.as_recorded(logs, chosen, mounting)
         _with_scans(paths, scans, how, read, taken, as_json, dry_run, force)
         return
-    laser: dict[str, Any] = {"fov": fov, "range_max": range_max, "mount": mounting.sensor}
+    laser: dict[str, Any] = {"fov": logs.fov, "range_max": logs.range_max, "mount": mounting.sensor}
     sensor = replace(sensor, **{name: value for name, value in laser.items() if value is not None})
     check_trials(count * len(paths))
     desk = inputs.desk_of(**vars(taken))

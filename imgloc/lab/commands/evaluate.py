@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Given
+from imgloc.cli.command import Given, Only
 from imgloc.cli.console import LOG, emit, progress, say, width
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.io.files import display, is_there, map_name
-from imgloc.options import ALL_METHODS, TOLERANCES, Cell, Chosen, Logs, Reach, Seed, Sensor
+from imgloc.options import ALL_METHODS, TOLERANCES, Cell, Chosen, Logs, Seed, Sensor, StepOf
 from imgloc.ranges import Within, option
 from imgloc.texts import names
 
@@ -37,6 +37,7 @@ def evaluate(
         parse=lambda path: _map_of(path),
     ),
     chosen: Chosen,
+    logs: Annotated[Logs, Only("range_max")],
     taken: opt.Resources,
     method: tuple[str, ...] = option(
         ALL_METHODS,
@@ -48,7 +49,6 @@ def evaluate(
         100, "Scans that are simulated on each map.", "-n", "--count"
     ),
     seed: Seed = 0,
-    range_max: Reach | None = None,
     scans: list[Path] | None = option(
         None,
         "Scans with poses, as imgloc simulate or a recording has them; once for each map. "
@@ -56,7 +56,7 @@ def evaluate(
         metavar="FILE",
     ),
     tolerance: opt.ToleranceOf = TOLERANCES[-1],
-    theta_step: opt.StepOf | None = None,
+    theta_step: StepOf | None = None,
     cell: Cell = 0.1,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -70,7 +70,7 @@ def evaluate(
     floor" counts the trials whose density is at most 0.001 of a uniform one; "not free" those whose
     true pose is in a cell that is not free on the map. The paper's methods try a heading every 3
     degrees (cbml, cbml-o, beam) or 30 (ght, ght-v). Only the columns under "cost" differ between
-    runs.
+    runs. Scans that are simulated here reach 30 m, or --range-max.
     """
     from imgloc.cli import inputs
     from imgloc.io.badlines import warned
@@ -83,8 +83,8 @@ def evaluate(
     opt.refuse_others(given, _OF, {_SIMULATED if scans is None else _RECORDED})
     if scans is not None and len(scans) != len(maps):
         raise ConfigError(f"--scans: got {len(scans)} for {len(maps)} maps, expected one each")
-    sensor = Sensor() if range_max is None else Sensor(range_max=range_max)
-    how = inputs.as_recorded(Logs(range_max=range_max), chosen)
+    sensor = Sensor() if logs.range_max is None else Sensor(range_max=logs.range_max)
+    how = inputs.as_recorded(logs, chosen)
     table = list[dict[str, Any]]()
     with warned(also_printed=True) as said:
         for k, path in enumerate(maps):
