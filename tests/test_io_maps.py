@@ -76,16 +76,31 @@ def test_thresholds_themselves(write, semantics: str, expected: list[str]) -> No
     assert classes(load_map(path, semantics=semantics)) == expected
 
 
-def test_grey_205_is_unknown_until_free_thresh_says_otherwise(write) -> None:
-    path = write(row(0, 205, 254))
-    assert classes(load_map(path)) == ["#?."]
-    assert classes(load_map(path, free_thresh=0.25)) == ["#.."]
+GREEN = png(2, 1, 8, 2, [bytes([0, 255, 0, 255, 255, 255])])
+CLEAR = png(2, 1, 8, 4, [bytes([128, 0, 128, 255])])
+RAW, SCALE = row(0, 19, 20, 64, 65, 100, 101, 254, 255), row(254, 205, 204, 150, 90, 89, 0)
+ROS1 = {"semantics": "ros1"}
 
 
-def test_negate_as_key_and_as_option(write) -> None:
-    path = write(row(0, 128, 255), "negate: 1")
-    assert classes(load_map(path)) == [".?#"]
-    assert classes(load_map(path, negate=False)) == ["#?."]
+@pytest.mark.parametrize(("image", "line", "options", "expected"), [
+    (row(0, 205, 254), "", {}, "#?."),
+    (row(0, 205, 254), "", {"free_thresh": 0.25}, "#.."),
+    (row(0, 128, 255), "negate: 1", {}, ".?#"),
+    (row(0, 128, 255), "negate: 1", {"negate": False}, "#?."),
+    (CLEAR, "mode: scale", ROS1, "??"),
+    # r = (occ - .196) / (.65 - .196) rounds to 0 and to 100 per cent next to the thresholds.
+    (SCALE, "mode: scale", {}, "..???##"),
+    (SCALE, "mode: scale", ROS1, ".????##"),
+    (RAW, "mode: raw", {}, "..??##???"),
+    (RAW, "mode: raw", {"free_thresh": 0.25}, "...?##???"),
+    # ROS 1 negates raw values, Nav2 does not.
+    (RAW, "mode: raw", {"negate": True}, "..??##???"),
+    (RAW, "mode: raw", {"negate": True, **ROS1}, "???????.."),
+    # Pure green: mean 85, occ 0.67, a wall; its luma is 150, unknown.
+    (GREEN, "", {}, "#."),
+])  # fmt: skip
+def test_greys(write, image: bytes, line: str, options: dict, expected: str) -> None:
+    assert classes(load_map(write(image, *[line] * bool(line)), **options)) == [expected]
 
 
 # opaque wall, opaque free, transparent black, transparent white, nearly opaque white
@@ -110,33 +125,6 @@ RGBA = png(
 )
 def test_alpha(write, mode: str, semantics: str, expected: str) -> None:
     assert classes(load_map(write(RGBA), mode=mode, semantics=semantics)) == [expected]
-
-
-def test_ros1_scale_makes_transparent_greys_unknown_and_keeps_the_others_between(write) -> None:
-    path = write(png(2, 1, 8, 4, [bytes([128, 0, 128, 255])]), "mode: scale")
-    assert classes(load_map(path, semantics="ros1")) == ["??"]
-
-
-def test_scale_gives_up_what_is_between(write) -> None:
-    # r = (occ - .196) / (.65 - .196) rounds to 0 and to 100 per cent next to the thresholds.
-    path = write(row(254, 205, 204, 150, 90, 89, 0), "mode: scale")
-    assert classes(load_map(path)) == ["..???##"]
-    assert classes(load_map(path, semantics="ros1")) == [".????##"]
-
-
-def test_raw_values_are_percentages(write) -> None:
-    path = write(row(0, 19, 20, 64, 65, 100, 101, 254, 255), "mode: raw")
-    assert classes(load_map(path)) == ["..??##???"]
-    assert classes(load_map(path, free_thresh=0.25)) == ["...?##???"]
-    # ROS 1 negates raw values, Nav2 does not.
-    assert classes(load_map(path, negate=True)) == ["..??##???"]
-    assert classes(load_map(path, negate=True, semantics="ros1")) == ["???????.."]
-
-
-def test_colours_are_averaged_not_weighed(write) -> None:
-    # Pure green: mean 85, occ 0.67, a wall; its luma is 150, unknown.
-    path = write(png(2, 1, 8, 2, [bytes([0, 255, 0, 255, 255, 255])]))
-    assert classes(load_map(path)) == ["#."]
 
 
 def test_palette_is_looked_up(write) -> None:

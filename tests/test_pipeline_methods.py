@@ -127,17 +127,6 @@ def test_the_step_of_theta_is_an_option(method):
     assert len(stack.thetas) == 15
 
 
-@pytest.mark.parametrize("method", ["cbml", "cbml-o"])
-def test_engines_agree(method):
-    stacks = [
-        likelihood(features_of("curved"), scan_of("curved"), Options(method=method, engine=engine))
-        for engine in ("filter2d", "shift", "dft", "auto")
-    ]
-    top = stacks[0].values.max()
-    for stack in stacks[1:]:
-        np.testing.assert_allclose(stack.values / top, stacks[0].values / top, atol=0.01)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_too_large_a_stack_is_refused_before_it_is_made(method):
     features = features_of("curved")

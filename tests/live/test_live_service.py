@@ -347,16 +347,6 @@ def test_a_file_that_is_cut_is_answered_without_its_last_line_and_says_so(
     assert "warnings" not in one
 
 
-def test_warnings_about_broken_lines_are_answered(http: httpx.Client, scans: Path) -> None:
-    lines = [json.dumps(laser_scan(scans, k % 3)) for k in range(120)]
-    lines[7] = "{"
-    held = http.post("/v1/scans?name=a.jsonl", content="\n".join(lines) + "\n").json()
-    assert held["scans"] == 119
-    assert held["warnings"][0].startswith(
-        "a.jsonl: left out 1 of 120 lines, which are broken: line 8"
-    )
-
-
 # How a scan fits, and layers.
 
 
@@ -878,11 +868,6 @@ def test_the_examples_with_curl_are_answered(tmp_path: Path, monkeypatch: Any) -
                 [*here, "-s"], capture_output=True, text=True, timeout=60, check=True
             )
             assert json.loads(run.stdout)["verdict"] == "unique"
-
-
-def test_rows_of_a_file_are_json_lines(http: httpx.Client, scans: Path) -> None:
-    found = http.post("/v1/localize?map=visibility", content=scans.read_bytes())
-    assert [row["index"] for row in rows(found.text)] == [0, 1, 2]
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,7 @@ from imgloc.simulation.worlds import WORLDS, render
 from tools.bench import (
     PAIR_HEADINGS,
     added,
-    answer_summary,
     answer_times,
-    as_row,
     bench_tables,
     exhaustive_search,
     gathered,
@@ -93,13 +91,6 @@ def test_the_least_of_some_runs_in_c_counts(tmp_path):
     assert exhaustive_search(tmp_path, 1) == 6.5
 
 
-def test_the_first_answer_is_compared_with_the_median():
-    summary = answer_summary([500.0, 100.0, 50.0, 50.0], 0.4)
-    assert summary["prepare_s"] == 0.4
-    assert summary["first_over_median"] == 10
-    assert summary["median_ms"] == 50
-
-
 def test_answers_are_measured(case):
     times = answer_times(case[0].grid, [case[1]], 1)
     assert set(times) == {"median_ms", "p99_over_median", "first_over_median", "prepare_s"}
@@ -144,23 +135,3 @@ def test_the_largest_map_by_itself(capsys):
     assert found["prepare"] + found["answer"] < 100
     text = bench_tables({"machine": {"cores": 2}, "huge": {"300 x 300": found}})
     assert f"| 300 x 300 | {found['prepare']:.1f} |" in text
-
-
-def test_the_tables_of_the_tool(case):
-    timings = in_turns([("nothing", "call", 1, lambda: None)], 1)
-    answers = {"A": {"median_ms": 2.0, "p99_over_median": 1.5, "prepare_s": 0.5, "over_c": 0.256}}
-    answers["A"]["first_over_median"] = 1.25
-    command = {"help": 0.1, "localize_help": 0.12, "localize": 0.5, "item_ms": 60.4, "other": 0.9}
-    command["one_over_two"] = 0.92
-    text = bench_tables(
-        {"machine": {"cores": 2}, "costs": [as_row(t) for t in timings],
-         "localize": answers, "command": {"B": command},
-         "yardstick": "no C compiler"}
-    )  # fmt: skip
-    assert "| nothing |" in text
-    assert "| A | 2 | 1.50 | 1.25 | 0.50 | 0.26 |" in text
-    assert "| B | 0.10 | 0.12 | 0.50 | 0.90 | 60 | 0.92 |" in text
-    assert text.endswith("one thread: no C compiler")
-    tables = [part.splitlines() for part in text.split("\n\n")[1:-1]]
-    for lines in tables:  # as many cells in each line
-        assert len({line.count("|") for line in lines}) == 1

@@ -10,6 +10,7 @@ from command import ROOT
 import imgloc
 
 EVERY = sorted(p.stem for p in (ROOT / "tools" / "gallery").glob("[a-z]*.py"))
+assert len(EVERY) > 5
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -21,20 +22,6 @@ def test_a_script_leaves_its_picture(name: str) -> None:
     assert len(np.unique(image @ np.array([1, 1 << 8, 1 << 16]))) > 20  # colours
     title, line, *_ = str(module.__doc__).splitlines()
     assert line == "=" * len(title)
-
-
-def test_the_gallery_is_short() -> None:
-    assert EVERY == [
-        "atlas",
-        "folder",
-        "from_a_png",
-        "kinds",
-        "own_map",
-        "own_score",
-        "prior",
-        "stack",
-        "which_map",
-    ]
 
 
 def test_the_docs_have_every_public_name() -> None:

@@ -95,6 +95,9 @@ def test_the_report_holds_all_pictures(folder):
     for name in ("fig1", "fig2", "fig4", "fig5", "complexity"):
         png = base64.b64encode((folder / f"{name}.png").read_bytes()).decode()
         assert f"base64,{png}" in page
+    sources = re.findall(r"(?:src|href)=\"([^\"]*)", page)
+    assert all(source.startswith("data:image/png;base64,") for source in sources)  # no other file
+    assert not re.search(r"<(script|link|iframe)\b|url\(", page)
 
 
 def test_threads_change_no_picture(folder):

@@ -22,7 +22,6 @@ from tools.paper.table import (
     stack_of,
     table,
 )
-from tools.script import take_turns
 
 
 @pytest.fixture(scope="module")
@@ -176,29 +175,6 @@ def test_what_is_beyond_the_paper_is_claimed_too(changed, told):
 
 
 # --- run times compared fairly: turns, medians, and who is compared with whom
-
-
-class Clock:
-    """A clock that runs put forward: each takes the next of its times."""
-
-    def __init__(self):
-        self.now, self.order = 0.0, []
-
-    def run(self, name, times):
-        left = iter(times)
-
-        def work():
-            self.order.append(name)
-            self.now += next(left)
-
-        return work
-
-
-def test_turns_change_who_comes_first():
-    clock = Clock()
-    runs = [clock.run("a", (1.0, 100.0, 3.0)), clock.run("b", (5.0, 5.0, 6.0))]
-    assert take_turns(runs, 3, lambda: clock.now) == ((1.0, 100.0, 3.0), (5.0, 5.0, 6.0))
-    assert "".join(clock.order) == "abbaab"
 
 
 def test_each_pair_is_measured_in_each_world():
