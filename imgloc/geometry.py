@@ -99,6 +99,7 @@ def rotate_covariance(covariance: FloatArray, theta: float) -> FloatArray:
 
 
 Framed = TypeVar("Framed", Pose2D, Hypothesis)
+Value = TypeVar("Value", bound=np.generic)
 
 
 def in_map_frame(given: Framed, grid: GridInfo | OccupancyGrid) -> Framed:
@@ -147,6 +148,30 @@ def inside(cells: IntArray, grid: GridInfo) -> npt.NDArray[np.bool_]:
     """Return whether each (row, col) of (..., 2) lies on the grid."""
     r, c = cells[..., 0], cells[..., 1]
     return (r >= 0) & (r < grid.height) & (c >= 0) & (c < grid.width)
+
+
+def point_on(grid: OccupancyGrid, at: tuple[float, float]) -> FloatArray:
+    """A point (x, y) of the map frame in the grid frame, (2,); a ConfigError beyond the map."""
+    there = in_grid_frame(Pose2D(*at), grid)
+    xy = np.array([there.x, there.y])
+    if not inside(cell_of(xy, grid.resolution), grid.info):
+        raise ConfigError(f"`at`: {at[0]:g},{at[1]:g} is not on the map, expected a point of it")
+    return xy
+
+
+def values_at(image: npt.NDArray[Value], xy: FloatArray, resolution: float) -> npt.NDArray[Value]:
+    """Values (N,) of an image (H, W) under points (N, 2) of the grid frame; 0 beyond its edge.
+
+    Examples
+    --------
+    >>> values_at(np.array([[1, 2]]), np.array([[0.15, 0.05], [0.25, 0.05], [-0.01, 0.0]]), 0.1)
+    array([2, 0, 0])
+    """
+    cells = cell_of(xy, resolution)
+    on = ((cells >= 0) & (cells < image.shape)).all(axis=1)
+    out = np.zeros(len(cells), image.dtype)
+    out[on] = image[tuple(cells[on].T)]
+    return out
 
 
 def pose_errors(poses: FloatArray, truth: Pose2D | FloatArray) -> FloatArray:

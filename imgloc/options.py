@@ -210,18 +210,10 @@ class Prior(ByContent, Checked):
 
     def admits(self, poses: "FloatArray", resolution: float) -> "BoolArray":
         """Which poses (C, 3), grid frame, are in the set: (C,) bool."""
-        from imgloc.geometry import cell_of, inside
-        from imgloc.model import GridInfo
+        from imgloc.geometry import values_at
 
         ok = self.headings(poses[:, 2])
-        if self.cells is not None:
-            at = cell_of(poses[:, :2], resolution)
-            height, width = self.cells.shape
-            on_map = inside(at, GridInfo(height, width, resolution))
-            row, col = at[on_map].T
-            ok[on_map] &= self.cells[row, col]
-            ok &= on_map
-        return ok
+        return ok if self.cells is None else ok & values_at(self.cells, poses[:, :2], resolution)
 
     def headings(self, thetas: "FloatArray", slack: float = 0.0) -> "BoolArray":
         """Which headings are in the set, or less than `slack` beside it: bool, as `thetas`."""

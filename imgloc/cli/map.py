@@ -86,13 +86,9 @@ def show(
     force: opt.Force = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
-    import numpy as np
-
     from imgloc.cli import inputs
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.geometry import cell_of, in_grid_frame, inside
     from imgloc.likelihoods.stacks import likelihood
-    from imgloc.model import Pose2D
     from imgloc.output.pictures import draw
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
@@ -104,12 +100,6 @@ def show(
     desk, maps = inputs.desk_of(1, budget), inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=what != "map")
     features = MapFeatures(grid, cell=grid.resolution)
-    if at is not None:
-        there = in_grid_frame(Pose2D(*at), grid)
-        if not inside(cell_of(np.array([there.x, there.y]), grid.resolution), grid.info):
-            raise ConfigError(
-                f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
-            )
     if scans is None:
         picture = draw(features, what=what, at=at)
     else:

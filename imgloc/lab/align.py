@@ -37,6 +37,7 @@ from imgloc.geometry import (
     rotation,
     transform_points,
     transform_poses,
+    values_at,
     wrap,
 )
 from imgloc.model import (
@@ -439,20 +440,18 @@ def agreement(a: Side, b: Side, bend: Bend) -> Agreement:
         e, slope = _looked_up(other.field, xy)
         e = size * e + off
         fits = (np.abs(e) < near) & _same_way(slope, one.alpha + turn)
-        cells, info = cell_of(xy, other.grid.resolution), other.grid.info
-        on = inside(cells, info)
-        row, column = np.where(on[:, None], cells, 0).T
-        against = on & (((e >= near) & other.grid.free[row, column]) | (e <= -near))
+        on = inside(cell_of(xy, other.grid.resolution), other.grid.info)
+        free = values_at(other.grid.free, xy, other.grid.resolution)
+        against = ((e >= near) & free) | ((e <= -near) & on)
         hit += length * np.count_nonzero(fits & on)
         missed += length * np.count_nonzero(against)
         rigid = flat(one.xy[fits & on])
         away.append(np.abs(size * _looked_up(other.field, rigid)[0] + off))
         moved.append(size * np.hypot(*(xy[fits & on] - rigid).T))
-    free = np.argwhere(a.grid.free[::2, ::2]) * 2 + 1
-    middles = np.asarray(free[:, ::-1] * a.grid.resolution, dtype=np.float64)
-    cells = cell_of(bend.back(middles), b.grid.resolution)
-    cells = cells[inside(cells, b.grid.info)]
-    both = 4 * a.grid.resolution**2 * np.count_nonzero(b.grid.free[cells[:, 0], cells[:, 1]])
+    cells = np.argwhere(a.grid.free[::2, ::2]) * 2 + 1
+    middles = np.asarray(cells[:, ::-1] * a.grid.resolution, dtype=np.float64)
+    shared = values_at(b.grid.free, bend.back(middles), b.grid.resolution)
+    both = 4 * a.grid.resolution**2 * np.count_nonzero(shared)
     areas = [
         float(np.count_nonzero(side.grid.free)) * (size * side.grid.resolution) ** 2
         for side, size in ((a, 1.0), (b, scale))

@@ -11,7 +11,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
-from imgloc.geometry import cell_of, inside, rotation, transform_points
+from imgloc.geometry import rotation, transform_points, values_at
 from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings, yaml_text
 from imgloc.io.text import csv_text
@@ -185,10 +185,7 @@ def draw_alignment(
     x, y, theta, scale, _ = place.bend.pose.tolist()
     layers = []
     for grid, xy in ((a, at), (b, (at - (x, y)) @ rotation(theta) / scale)):
-        cells = cell_of(xy, grid.resolution)
-        on = inside(cells, grid.info)
-        rows, columns = np.where(on[:, None], cells, 0).T
-        images = (on & image[rows, columns] for image in (grid.occupied, grid.free))
+        images = (values_at(image, xy, grid.resolution) for image in (grid.occupied, grid.free))
         layers.append([image.reshape(height, width) for image in images])
     (wall_a, free_a), (wall_b, free_b) = layers
     near = _NEAR / cell

@@ -35,7 +35,7 @@ from imgloc.errors import ConfigError, expect
 from imgloc.features.distance import distance_image
 from imgloc.features.scanpoints import evenly
 from imgloc.features.surface import surface_points
-from imgloc.geometry import cell_of, inside, transform_points, transform_poses
+from imgloc.geometry import cell_of, transform_points, transform_poses, values_at
 from imgloc.model import (
     BoolArray,
     FloatArray,
@@ -105,10 +105,9 @@ class Changes(ByContent):
         surface = surface_points(grid.occupied, grid.free, grid.resolution)
         some = surface.select(np.isfinite(surface.alpha))
         out = np.column_stack((np.cos(some.alpha), np.sin(some.alpha)))
-        cells = cell_of(some.xy - 0.5 * grid.resolution * out, grid.resolution)
-        row, column = cells[inside(cells, grid.info)].T
-        looked = (self.seen.passed + self.seen.near)[row, column] >= _SCANS
-        gone = looked & self.gone[row, column]
+        at = some.xy - 0.5 * grid.resolution * out, grid.resolution
+        looked = values_at(self.seen.passed + self.seen.near, *at) >= _SCANS
+        gone = looked & values_at(self.gone, *at)
         return tuple(grid.resolution * np.count_nonzero(x) for x in (looked, gone))  # type: ignore[return-value]
 
     @property

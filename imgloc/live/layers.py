@@ -12,10 +12,10 @@ from skimage.draw import polygon2mask
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
-from imgloc.geometry import cell_of, in_grid_frame, inside, transform_points, wrap
+from imgloc.geometry import point_on, transform_points, wrap
 from imgloc.io.images import encode_png
 from imgloc.io.maps import map_png
-from imgloc.model import BoolArray, FloatArray, Likelihood, OccupancyGrid, Pose2D, plain
+from imgloc.model import BoolArray, FloatArray, Likelihood, OccupancyGrid, inverse, plain
 from imgloc.options import DEFAULTS, LOG_METHODS
 from imgloc.output.canvas import wheel
 
@@ -103,8 +103,7 @@ def region_cells(grid: OccupancyGrid, corners: FloatArray) -> BoolArray:
     >>> region_cells(grid, corners).tolist()
     [[True, True, False], [False, False, False]]
     """
-    placed = [in_grid_frame(Pose2D(x, y), grid) for x, y in corners]
-    corner = np.array([(p.y, p.x) for p in placed]) / grid.resolution - 0.5
+    corner = transform_points(inverse(grid.origin), corners)[:, ::-1] / grid.resolution - 0.5
     cells = np.asarray(polygon2mask(grid.occupied.shape, corner), np.bool_)
     if not cells.any():
         raise ConfigError("region: it contains no cell of the map, expected some")
@@ -122,10 +121,7 @@ def seen_from(features: MapFeatures, at: tuple[float, float]) -> dict[str, objec
     A ConfigError if the place is not on the map, a MapError if the map has no surface.
     """
     grid, surface = features.grid, features.surface
-    there = in_grid_frame(Pose2D(*at), grid)
-    xy = np.array([there.x, there.y])
-    if not inside(cell_of(xy, grid.resolution), grid.info):
-        raise ConfigError(f"at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it")
+    xy = point_on(grid, at)
     if len(surface) == 0:
         raise MapError("the map has no surface: no occupied cell borders on a free one")
     angles = np.arange(_CORNERS) * (2 * np.pi / _CORNERS)

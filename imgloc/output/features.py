@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from imgloc.errors import MapError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import in_grid_frame, transform_points
+from imgloc.geometry import point_on, transform_points
 from imgloc.model import (
     Float32Array,
     FloatArray,
@@ -20,7 +20,6 @@ from imgloc.model import (
     IntArray,
     OccupancyGrid,
     OrientedPoints,
-    Pose2D,
 )
 from imgloc.output.canvas import (
     GREY,
@@ -108,16 +107,16 @@ def _visibility(
     grid, surface = features.grid, features.surface
     if len(surface) == 0:
         raise MapError("the map has no surface: no occupied cell borders on a free one")
+    there = None if at is None else point_on(grid, at)
     horizon = min(features.horizon, float(np.hypot(*grid.occupied.shape)) * grid.resolution)
     vis = np.minimum(replace(features, horizon=horizon).visibility, horizon)
-    if at is None:
+    if there is None:
         # Of a point inside a building nearly all rays end; the one that sees most is typical.
         reach = np.asarray(vis, dtype=np.float64)
         inside = (reach < 0.999 * horizon).mean(axis=0) > 0.97
         best = int(np.argmax((reach**2).sum(axis=0) * (inside if inside.any() else 1)))
     else:
-        there = in_grid_frame(Pose2D(*at), grid)
-        best = int(np.argmin(np.hypot(*(surface.xy - (there.x, there.y)).T)))
+        best = int(np.argmin(np.hypot(*(surface.xy - there).T)))
     alpha = float(np.nan_to_num(surface.alpha[best]))
     point, seen = surface.xy[best], vis[:, best]
     canvas = draw_visibility(grid, point, seen, part, horizon=horizon, alpha=alpha)

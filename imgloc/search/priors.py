@@ -15,7 +15,7 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level, any_of_blocks
-from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
+from imgloc.geometry import cell_of, in_grid_frame, inside, values_at, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid, Pose2D
 from imgloc.numbers import number
 from imgloc.options import FusedOptions, Hint, Known, Prior
@@ -48,10 +48,7 @@ def ranked(
         return np.arange(len(share)), share
     weight = np.ones(len(share))
     if prior.weights is not None:
-        cells = cell_of(poses[:, :2], resolution)
-        height, width = prior.weights.shape
-        ok = inside(cells, GridInfo(height, width, resolution))
-        weight[~ok], weight[ok] = 0, prior.weights[tuple(cells[ok].T)]
+        weight *= values_at(prior.weights, poses[:, :2], resolution)
     for some in prior.hints:
         weight *= np.maximum(sum(_at_hint(one, poses) for one in some), ASTRAY)
     found = share * weight
@@ -119,9 +116,7 @@ def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArr
 
 def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
     """Return whether each pose (C, 3), grid frame, is in the prior and can hold a sensor: (C,)."""
-    cells = cell_of(poses[:, :2], features.grid.resolution)
-    ok = inside(cells, features.grid.info)
-    ok[ok] = features.standable[tuple(cells[ok].T)]
+    ok = values_at(features.standable, poses[:, :2], features.grid.resolution)
     return ok & prior.admits(poses, features.grid.resolution)
 
 
