@@ -17,14 +17,12 @@ from typing import Any
 import numpy as np
 
 from imgloc import Options, ScanSet, make_filter
-from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses
-from imgloc.io.files import write_text_atomic
-from imgloc.model import LaserScan, Pose2D, to_json
+from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Every, Limits
 from imgloc.pipeline import prepare
-from tools.filters import WRONG, Run, Searches, drive, driven, piece
-from tools.script import parser_of, progress, table_lines
+from tools.filters import WRONG, Run, Searches, drive, driven, parser_of_logs, piece, write_rows
+from tools.script import progress, table_lines
 from tools.sequences import load_log
 from tools.trust.precision import REGION
 
@@ -141,13 +139,10 @@ def measure_log(
         poses = robot_poses(some)
         assert poses is not None
         start = Pose2D(*poses[0])
-        return drive(features, some, make, Every(), searches, start=start), blind
+        robot = make_filter("tracker", features, options, seed=seed, find=searches)
+        return drive(features, some, robot, Every(), searches, start=start), blind
 
     searches = Searches(features, options, keep)
-
-    def make() -> Filter:
-        return make_filter("tracker", features, options, seed=seed, find=searches)
-
     for kind in kinds:
         for far in metres:
             rng = np.random.default_rng((seed, int(far)))
@@ -178,14 +173,10 @@ def cells(row: Mapping[str, Any]) -> tuple[object, ...]:
 
 def main() -> None:
     """Measure, and write the table."""
-    parser = parser_of("tools.blackouts", __doc__)
-    parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
-    parser.add_argument("--out", type=Path, default=Path("blackouts"))
+    parser = parser_of_logs("blackouts", __doc__)
     parser.add_argument("--trials", type=int, default=10, help="of each kind (default 10)")
     parser.add_argument("--metres", default="10,30,60", help="without sight (default 10,30,60)")
     parser.add_argument("--kinds", default=",".join(KINDS), help=f"some of {', '.join(KINDS)}")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--searches", type=Path, help="folder that keeps what searches found")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
@@ -196,11 +187,9 @@ def main() -> None:
             for row in measure_log(folder, kinds, far, given.trials, given.seed, given.searches):
                 rows.append(row)
                 advance()
-                lines = "".join(to_json(r) + "\n" for r in rows)
-                write_text_atomic(given.out / "blackouts.jsonl", lines, force=True)
-    page = "\n".join(table_lines(HEAD, map(cells, rows))) + "\n"
-    write_text_atomic(given.out / "blackouts.md", page, force=True)
-    print(page)
+                page = "\n".join(table_lines(HEAD, map(cells, rows))) + "\n"
+                write_rows(given.out, "blackouts", rows, page)
+    print((given.out / "blackouts.md").read_text())
 
 
 if __name__ == "__main__":

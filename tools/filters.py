@@ -6,13 +6,15 @@ shares of right poses against metres driven, and the rules of ENM-MCL, F3Loc, an
 Thrun (JAIR 11).
 """
 
+import argparse
 import hashlib
 import io
 import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +26,14 @@ from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
 from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
-from imgloc.io.files import write_bytes_atomic
+from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import Share, share
 from imgloc.live.policy import LastPose
 from imgloc.live.settings import Settings
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
 from imgloc.options import Every, Options
+from tools.script import parser_of
 from tools.trust.precision import REGION, TRUTH, difference, squared
 
 RIGHT = (0.5, float(np.deg2rad(10.0)))
@@ -126,7 +129,7 @@ def _digest(grid: OccupancyGrid, options: Options) -> str:
 def drive(
     features: MapFeatures,
     scans: ScanSet,
-    make: Callable[[], Filter],
+    robot: Filter,
     every: Every,
     searches: Searches,
     jump: int | None = None,
@@ -138,7 +141,7 @@ def drive(
         raise ConfigError("expected the true pose of each scan")
     begin, before, rows, last = time.process_time(), searches.clock, [], LastPose()
     own = np.diag(np.square(TRUTH))
-    for moment in follow(features, scans, make(), every=every, start=start):
+    for moment in follow(features, scans, robot, every=every, start=start):
         error, spread, square = (np.inf, np.inf), (np.inf, np.inf), np.inf
         if moment.best is not None:
             best = np.array([moment.best.x, moment.best.y, moment.best.theta])
@@ -254,6 +257,23 @@ def kidnappings(
         yield piece(scans, before, after), len(before)
 
 
+def parser_of_logs(name: str, about: str | None) -> argparse.ArgumentParser:
+    """The parser of a tool that measures along the logs of some folders, and writes rows."""
+    parser = parser_of(f"tools.{name}", about)
+    parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
+    parser.add_argument("--out", type=Path, default=Path(name))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--searches", type=Path, help="folder that keeps what searches found")
+    return parser
+
+
+def write_rows(folder: Path, name: str, rows: Sequence[Mapping[str, Any]], page: str) -> None:
+    """Write rows as ``NAME.jsonl`` and ``NAME.md``, anew each time: what is stopped has some."""
+    lines = "".join(to_json(row) + "\n" for row in rows)
+    write_text_atomic(folder / f"{name}.jsonl", lines, force=True)
+    write_text_atomic(folder / f"{name}.md", page, force=True)
+
+
 @dataclass(frozen=True)
 class Trials:
     """The runs on one log."""
@@ -292,19 +312,14 @@ def measure(
     each run.
     """
     found = searches or Searches(features, options)
-
-    def make() -> Filter:
-        return make_filter(
-            name, features, options, seed=trials.seed, reset_by=trials.reset_by,
-            find=found,
-        )  # fmt: skip
-
+    how: dict[str, Any] = {"seed": trials.seed, "reset_by": trials.reset_by, "find": found}
     runs, kidnaps = list[Run](), list[Run]()
     rng = np.random.default_rng((trials.seed, 1))
     alone = ((runs, part, None) for part in from_starts(scans, trials.at(scans), trials.metres))
     carried = ((kidnaps, *some) for some in kidnappings(scans, trials.kidnaps, rng))
     for into, part, jump in itertools.chain(alone, carried):
-        into.append(drive(features, part, make, trials.every, found, jump))
+        robot = make_filter(name, features, options, **how)
+        into.append(drive(features, part, robot, trials.every, found, jump))
         advance()
     return summarise_runs(runs, kidnaps)
 

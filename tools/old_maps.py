@@ -16,13 +16,13 @@ with noise.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
-from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.calibrate import fit_along
@@ -68,16 +68,13 @@ def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:
         recorded = [scans for _, scans in logs_of(folder)]
         options = Options(shared=fit_along(features, recorded).shared)
     for name, scans in logs_of(folder):
-
-        def make() -> Filter:
-            return make_filter("tracker", features, options)
-
+        make = partial(make_filter, "tracker", features, options)
         poses = robot_poses(scans)
         known = Searches(features, options)  # its clock; the tracker searches by itself
         if poses is not None:
             begin = Pose2D(*poses[0])
-            yield Row(name, "true", [drive(features, scans, make, Every(), known, start=begin)])
-        runs = [drive(features, p, make, Every(), known) for p in pieces_of(scans, starts)]
+            yield Row(name, "true", [drive(features, scans, make(), Every(), known, start=begin)])
+        runs = [drive(features, p, make(), Every(), known) for p in pieces_of(scans, starts)]
         yield Row(name, f"{starts} from anywhere", runs)
 
 

@@ -20,13 +20,12 @@ import numpy as np
 from imgloc import Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
-from imgloc.io.files import write_text_atomic
-from imgloc.model import LaserScan, OccupancyGrid, to_json
+from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
-from tools.filters import Searches, Trials, measure
+from tools.filters import Searches, Trials, measure, parser_of_logs, write_rows
 from tools.recorded import scans_in
-from tools.script import parser_of, progress, table_lines
+from tools.script import progress, table_lines
 
 NEAR, VIEW, STOPPED = 5.0, float(np.deg2rad(90.0)), 0.3
 LAG = 0.4  # seconds
@@ -172,16 +171,12 @@ def draw_log(folder: Path) -> Picture:
 
 def main() -> None:
     """Measure, and write the table and the figures."""
-    parser = parser_of("tools.sequences", __doc__)
-    parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
-    parser.add_argument("--out", type=Path, default=Path("sequences"))
+    parser = parser_of_logs("sequences", __doc__)
     parser.add_argument("--starts", type=int, default=50, help="at random (default 50)")
     parser.add_argument("--seconds", type=float, default=30.0, help="between regular starts")
     parser.add_argument("--kidnaps", type=int, default=20)
     parser.add_argument("--metres", type=float, default=15.0)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cases", default="*", help="only those: patterns with ; between")
-    parser.add_argument("--searches", type=Path, help="folder that keeps what searches found")
     parser.add_argument("--picture", action="store_true", help="only the tracks")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -196,9 +191,7 @@ def main() -> None:
             with progress(folder.name, count) as advance:
                 for row in measure_log(folder, cases, trials, advance, given.searches):
                     rows.append(row)
-                    lines = "".join(to_json(r) + "\n" for r in rows)
-                    write_text_atomic(given.out / "sequences.jsonl", lines, force=True)
-                    write_text_atomic(given.out / "sequences.md", page(rows, trials), force=True)
+                    write_rows(given.out, "sequences", rows, page(rows, trials))
         print((given.out / "sequences.md").read_text())
     for folder in given.folders:
         draw_log(folder).save(given.out / f"track-{folder.name}.png", force=True)

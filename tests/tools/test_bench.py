@@ -81,16 +81,6 @@ def test_a_search_in_c(shared):
     assert 1 < exhaustive_search(shared / "problem", 1) < 10_000
 
 
-@needs_compiler
-def test_the_least_of_some_runs_in_c_counts(tmp_path):
-    (tmp_path / "floor").mkdir()
-    counts = '#include <stdio.h>\nint main(int c, char **v) { FILE *f = fopen("%s", "a+"); '
-    counts += 'fputs("x", f); printf("query median %%ld.5 ms", 10 - ftell(f)); return 0; }'
-    (tmp_path / "floor" / "cbml.c").write_text(counts % (tmp_path / "runs"))
-    assert exhaustive_search(tmp_path, 3) == 7.5
-    assert exhaustive_search(tmp_path, 1) == 6.5
-
-
 def test_answers_are_measured(case):
     times = answer_times(case[0].grid, [case[1]], 1)
     assert set(times) == {"median_ms", "p99_over_median", "first_over_median", "prepare_s"}

@@ -6,7 +6,6 @@ import naive
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
 from imgloc.features.raydistance import _rotate
 from imgloc.model import OrientedPoints
 from tools.paper import complexity
@@ -114,29 +113,3 @@ def test_times_are_measured_when_asked_for():
     assert [s.work for s in mine] == [s.work for s in again.samples]
     with pytest.raises(KeyError):
         again.exponent("cbml", "n", "work")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"world": "round"}, "got 'round'"),
-        ({"methods": ("gth",)}, "got 'gth'"),
-        ({"axes": {"B": (1, 2)}}, "got 'B'"),
-        ({"axes": {"n": (5,)}}, "at least two"),
-        ({"axes": {"n": (0, 5)}}, "positive"),
-    ],
-)
-def test_refuses_what_cannot_be_measured(options, message):
-    with pytest.raises(ConfigError, match=message):
-        complexity.measure(**options)
-
-
-def test_picture_has_a_panel_per_quantity_and_axis():
-    picture = complexity.draw(counted())
-    assert picture.dtype == np.uint8
-    assert picture.ndim == 3
-    assert picture.shape[1] > picture.shape[0]  # four axes, two quantities: nothing was timed
-    blue = (picture == (178, 114, 0)).all(axis=2)  # GHT-V's, as BGR
-    for half in np.array_split(blue, 2):
-        for panel in np.array_split(half, 4, axis=1):
-            assert panel.any()

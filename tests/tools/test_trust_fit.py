@@ -15,14 +15,13 @@ from imgloc.search.hypotheses import masses
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
-from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, shut, unmapped
+from tools.trust.disturb import MAPS, PRIORS, SCANS, shut
 from tools.trust.fit import (
     Case,
     case_of,
     cases_on_floors,
     conditions_table,
     fit_trust,
-    mapped,
     numbers_of,
     trust_of,
 )
@@ -102,15 +101,6 @@ def test_disturbances_change_what_they_say_and_nothing_else():
     assert 0.3 < half.occupied.sum() / grid.occupied.sum() < 0.7
 
 
-def test_mixed_pixels_are_at_edges_alone_and_in_between():
-    ranges = np.array([2.0, 2.0, 5.0, 5.1, np.inf, 5.0])
-    scan = LaserScan(ranges, np.arange(6) / 10, range_max=10.0)
-    mixed = SCANS["mixed pixels"](scan, np.random.default_rng(0)).ranges
-    assert mixed[[0, 2, 3, 4]].tolist() == [2.0, 5.0, 5.1, np.inf]
-    assert 2.0 < mixed[1] < 5.0
-    assert 2.0 < mixed[5] < 5.0  # the last beam is beside the first
-
-
 def test_a_doorway_is_shut_and_a_corridor_stays_open():
     walls = np.pad(np.zeros((60, 80), bool), 1, constant_values=True)
     walls[:, 40] = True
@@ -138,39 +128,6 @@ def test_furniture_goes_and_comes_and_walls_stay():
         assert 0 < (other.occupied & ~grid.occupied).mean() < 0.2
         assert other.free[table & ~other.occupied].all()
     assert 3 < gone < 17
-
-
-def test_a_map_of_half_the_size_keeps_thin_walls_where_they_are():
-    walls = np.zeros((41, 61), bool)
-    walls[10], walls[:, 31] = True, True
-    half = MAPS["map of half the size"](
-        OccupancyGrid(walls, ~walls, 0.05), np.random.default_rng(0)
-    )
-    assert half.occupied.shape == (20, 30)
-    assert half.resolution == 0.1
-    assert half.occupied[5].all()
-    assert half.occupied[:, 15].all()
-    assert half.occupied.sum() == 20 + 30 - 1
-
-
-@pytest.mark.parametrize("kind", ROOMS)
-def test_rooms_are_seen_from_within(kind):
-    for seed in range(5):
-        scan = unmapped(kind, np.random.default_rng(seed))
-        assert scan.ranges.shape == (361,)
-        assert scan.valid.mean() > 0.5
-        assert scan.ranges[scan.valid].min() > 0.2
-        assert scan.ranges[scan.valid].max() < (3.5 if kind == "lift" else 20)
-
-
-def test_a_place_on_the_lost_half_of_a_map_is_no_place():
-    free = np.ones((20, 40), bool)
-    grid = OccupancyGrid(~free, free, 0.1)
-    assert mapped(grid, np.array([3.0, 1.0, 0.0]))
-    left = replace(grid, free=free & (np.arange(40) < 20))
-    assert not mapped(left, np.array([3.0, 1.0, 0.0]))
-    assert mapped(left, np.array([1.0, 1.0, 0.0]))
-    assert not mapped(left, np.array([-3.0, 1.0, 0.0]))
 
 
 def test_a_case_says_which_mode_is_right():
