@@ -34,7 +34,7 @@ from imgloc import (
     prepare,
     sure_poses,
 )
-from imgloc.geometry import cell_of, inside, rotation
+from imgloc.geometry import cell_of, inside, rotation, values_at
 from imgloc.model import BoolArray, FloatArray, compose, inverse
 from imgloc.numbers import number
 from imgloc.simulation.scans import ray_angles, sample_free_poses, simulate_ranges
@@ -57,11 +57,9 @@ def turned(
     columns, rows = np.ceil(np.ptp(sides @ R.T, axis=0) / cell).astype(int)
     column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     at = (np.column_stack((column.ravel(), row.ravel())) * cell + low) @ R
-    cells = cell_of(at, grid.resolution)
-    on = inside(cells, grid.info)
-    r, c = np.where(on[:, None], cells, 0).T
     occupied, free = (
-        (on & image[r, c]).reshape(rows, columns) for image in (grid.occupied, grid.free)
+        values_at(image, at, grid.resolution).reshape(rows, columns)
+        for image in (grid.occupied, grid.free)
     )
     x, y = (low @ R).tolist()
     corner = Pose2D(x, y, -theta)  # of the new image in the old

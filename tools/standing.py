@@ -22,6 +22,7 @@ from imgloc import LaserScan, MapFeatures, Options, Pose2D, localize, prepare
 from imgloc.features.distance import distance_image
 from imgloc.filters.follow import Moment, Tracking
 from imgloc.filters.motion import noisy_odometry
+from imgloc.geometry import values_at
 from imgloc.live.policy import alone
 from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
@@ -110,8 +111,8 @@ def way_from(grid: OccupancyGrid, pose: FloatArray, seed: int) -> FloatArray | N
             path = path_between(clear, np.array([pose[:2], goal[:2]]), STEP)
         except ValueError:
             continue
-        cells = np.floor(path[:, 1::-1] / grid.resolution).astype(int)
-        if len(path) >= WAY / STEP and clear.free[tuple(cells.T)].all():
+        clear_way = values_at(clear.free, path[:, :2], grid.resolution).all()
+        if len(path) >= WAY / STEP and clear_way:
             return path[: round(WAY / STEP)]
     return None
 

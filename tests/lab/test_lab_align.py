@@ -9,7 +9,7 @@ import pytest
 from command import MAPS, call, fed
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.geometry import rotation, transform_poses
+from imgloc.geometry import transform_poses
 from imgloc.io.files import map_name
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans
@@ -23,6 +23,7 @@ from imgloc.lab.aligned import (
     read_poses,
 )
 from imgloc.model import Hypothesis, Localization, OccupancyGrid, Pose2D, compose, inverse
+from tools.maps import turned
 
 
 def room() -> np.ndarray:
@@ -31,23 +32,6 @@ def room() -> np.ndarray:
     wall[2:40, 30:32] = wall[38:40, 30:60] = wall[20:22, 50:78] = True
     wall[45:50, 10:18] = True
     return wall
-
-
-def turned(grid: OccupancyGrid, theta: float, cell: float, origin: Pose2D):
-    """The same walls in an image turned by theta, and the pose of its frame in that of the grid."""
-    R, (height, width) = rotation(theta), grid.occupied.shape
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) * grid.resolution @ R.T
-    low, size = corners.min(axis=0), np.ceil(np.ptp(corners, axis=0) / cell).astype(int)
-    row, column = np.mgrid[: size[1], : size[0]]
-    here = (np.stack((column, row), axis=-1) + 0.5) * cell + low
-    there = np.floor(here @ R / grid.resolution).astype(int)
-    on = ((there >= 0) & (there < (width, height))).all(axis=-1)
-    column, row = np.where(on[..., None], there, 0).transpose(2, 0, 1)
-    image = OccupancyGrid(
-        on & grid.occupied[row, column], on & grid.free[row, column], cell, origin
-    )
-    corner = Pose2D(*(low @ R), -theta)  # of the new image in the old
-    return image, compose(compose(grid.origin, corner), inverse(origin))
 
 
 @pytest.fixture(scope="module")

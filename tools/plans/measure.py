@@ -10,7 +10,7 @@ import numpy as np
 
 from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, load_map, plan_to_map
 from imgloc.errors import MapError
-from imgloc.geometry import pose_errors, poses_of, rotation
+from imgloc.geometry import pose_errors, poses_of, rotation, values_at
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.options import Sensor
@@ -120,9 +120,8 @@ def shares_found(grid: OccupancyGrid, b: Building) -> tuple[float, float]:
     for truth, found in ((inside(b, CELL) & ~walls, grid.free), (walls, near)):
         rows, columns = np.nonzero(truth)
         points = (np.column_stack((columns, rows)) + 0.5) * CELL - (grid.origin.x, grid.origin.y)
-        cells = np.floor(points @ rotation(grid.origin.theta) / grid.resolution).astype(int)
-        on = ((cells >= 0) & (cells < found.shape[::-1])).all(axis=1)
-        shares.append(float(found[cells[on, 1], cells[on, 0]].sum() / len(rows)))
+        local = points @ rotation(grid.origin.theta)
+        shares.append(float(values_at(found, local, grid.resolution).sum() / len(rows)))
     return shares[0], shares[1]
 
 

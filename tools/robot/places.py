@@ -12,7 +12,7 @@ from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
 from imgloc.filters.follow import robot_poses
 from imgloc.filters.motion import compose_poses, invert_poses, noisy_odometry
-from imgloc.geometry import pose_errors
+from imgloc.geometry import pose_errors, values_at
 from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
@@ -100,8 +100,8 @@ def route(grid: OccupancyGrid, metres: float, step: float, seed: int) -> FloatAr
             path = path_between(clear, np.array([there[:2], goal[:2]]), step)
         except ValueError:
             continue
-        cells = np.floor((path[:, 1::-1] - [grid.origin.y, grid.origin.x]) / grid.resolution)
-        if len(path) >= 3 and grid.free[tuple(cells.astype(int).T)].all():
+        at = path[:, :2] - [grid.origin.x, grid.origin.y]
+        if len(path) >= 3 and values_at(grid.free, at, grid.resolution).all():
             done.append(path)
             there = path[-1]
     return np.concatenate(done)[: round(metres / step)]
