@@ -186,6 +186,9 @@ def test_what_a_hint_names_the_command_has_or_it_says_what_to_do_instead() -> No
 
 
 def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> None:
+    call("atlas", "curved", "--topic", "/a").ends(
+        2, "--topic: is no option here; it reads no scans"
+    )
     (tmp_path / "a.csv").write_text("1,2,3,4,5,6,7,8,9,10,11,12\n")
     said = "\nthis command has no --fov-deg: imgloc convert LOG scans.npz with it makes"
     assert said in call("batch", "curved", tmp_path / "a.csv", "--out", tmp_path / "out").out

@@ -43,8 +43,13 @@ GONE: Mapping[str, str] = {
     "force": "nothing would be written over; imgloc batch has --resume",
     **dict.fromkeys(("json", "cache", "no-cache"), "this command would not notice it"),
     **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),
-                    "imgloc simulate has it, and --scans takes the file that it writes"),
+                    "imgloc simulate has it, and writes a file of scans"),
 }  # fmt: skip
+# How hints about files begin, and the parameters of commands that read some.
+_READ = (
+    ("imgloc convert", "scans", ("scans", "scans_path", "scans_paths", "log", "files")),
+    ("imgloc map", "map", ("maps", "map_path", "maps_dir", "files", "a_path")),
+)
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
@@ -108,7 +113,10 @@ class Command(Shares, TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; an option of other commands is a ConfigError with a hint."""
         own = {name for p in self.get_params(ctx) for name in (*p.opts, *p.secondary_opts)}
-        lacking = {f"--{name}": hint for name, hint in GONE.items() if f"--{name}" not in own}
+        read = {p.opts[0].lstrip("-") for p in self.params}
+        vain = {begins: f"it reads no {what}" for begins, what, by in _READ if read.isdisjoint(by)}
+        lacking = {f"--{name}": vain.get(" ".join(hint.split()[:2]), hint)
+                   for name, hint in GONE.items() if f"--{name}" not in own}  # fmt: skip
         ctx.meta.setdefault(LACKS, {}).update(lacking)
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]
