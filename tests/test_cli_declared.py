@@ -218,9 +218,14 @@ def test_an_option_of_the_program_is_refused_where_nothing_notices_it(
     "localize curved s.npz --threads", "localize curved s.npz --cache --json",
     "--memory-budget localize curved s.npz", "--cache --no-cache localize curved s.npz",
     "localize curved s.npz --topic --near 1,2,3", "batch curved s.npz --out --resume",
+    "--cache demo",
 ])  # fmt: skip
 def test_an_option_takes_no_option_and_no_command_for_its_value(line: str) -> None:
     call(*line.split()).ends(2, "requires an argument", out="")
+
+
+def test_a_value_may_be_called_as_a_command_is() -> None:
+    call("--cache", "demo", "localize").ends(2, "Missing argument", out="")
 
 
 def test_a_wrong_name_is_told_from_those_of_the_program() -> None:

@@ -62,8 +62,9 @@ class Shares:
         options = [p for p in self.get_params(ctx) if p.param_type_name == "option"]
         known = {name for p in options for name in (*p.opts, *p.secondary_opts)}
         lacking = {name for p in options if not (p.is_flag or p.count) for name in p.opts}
-        for word, value in pairwise(args[: next(ends, len(args)) + 1]):
-            if word in lacking and (value.partition("=")[0] in known or value in below):
+        for k, (word, value) in enumerate(pairwise(args[: next(ends, len(args)) + 1]), 2):
+            alone = value in below and not any(word in below for word in args[k:])
+            if word in lacking and (value.partition("=")[0] in known or alone):
                 ctx.fail(f"Option {word!r} requires an argument.")
         rest: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
         texts = {p.opts[0]: ctx.params.pop(p.name) for p in self.shared(ctx)}
