@@ -167,9 +167,11 @@ def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
 
     @functools.wraps(function)
     def run(**raw: Any) -> None:
-        given = raw[_CONTEXT.name].meta.get(SHARED, {})
-        if vain := given.keys() - flags.values():
-            raise ConfigError(f"{min(vain)}: is no option here; {GONE[min(vain)[2:]]}")
+        meta = raw[_CONTEXT.name].meta
+        given = meta.get(SHARED, {})
+        for vain in sorted(given.keys() - flags.values()):
+            hint = meta.get(LACKS, {}).get(vain, GONE[vain[2:]])
+            raise ConfigError(f"{vain}: is no option here; {hint}")
         values: dict[str, Any] = dict.fromkeys(context, raw[_CONTEXT.name])
         typed = Typed()
         with _flags_for(flags):
