@@ -224,6 +224,13 @@ def test_an_option_takes_no_option_and_no_command_for_its_value(line: str) -> No
     call(*line.split()).ends(2, "requires an argument", out="")
 
 
+def test_an_option_may_stand_between_the_words_of_a_command() -> None:
+    lines = (["--json", "map", "check"], ["map", "--json", "check"], ["map", "check", "--json"])
+    (out,) = {call(*line, "curved").out for line in lines}
+    assert out.startswith('{"path": ')
+    call("cache", "--json", "clear").ends(2, "--json: is no option here", out="")
+
+
 def test_a_value_may_be_called_as_a_command_is() -> None:
     call("--cache", "demo", "localize").ends(2, "Missing argument", out="")
 

@@ -42,6 +42,11 @@ _SECTIONS = {
 class Subgroup(Shares, TyperGroup):
     """Commands below one word."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words: those between the two of a command are of the second."""
+        k = next((k for k, word in enumerate(args) if ctx.parent and word in self.commands), 0)
+        return super().parse_args(ctx, [*args[k : k + 1], *args[:k], *args[k + 1 :]])
+
     def format_commands(self, _: Any, formatter: Any) -> None:
         """Write the commands in groups, each with its first sentence, whole."""
         rest = [name for name in self.commands if name not in sum(_SECTIONS.values(), ())]
