@@ -17,7 +17,7 @@ from imgloc.options import Sensor
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
-from tools.bench import (
+from tools.bench.__main__ import (
     PAIR_HEADINGS,
     added,
     answer_summary,

@@ -135,7 +135,7 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
         out["command"] = {name: command_times(g, told, repeats) for name, g, told in everything}
     if "huge" in parts:
         cells = given.cells or HUGE
-        code = f"from tools.bench import huge_map; huge_map({cells}, {given.scans})"
+        code = f"from tools.bench.__main__ import huge_map; huge_map({cells}, {given.scans})"
         done = subprocess.run((sys.executable, "-c", code), check=True, capture_output=True)  # noqa: S603
         out["huge"] = {f"{cells} x {cells}": json.loads(done.stdout)}
     return out
