@@ -2,17 +2,20 @@
 
 import json
 import shutil
+import sys
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
 from imgloc.features.scanpoints import scan_points, scan_xy
-from imgloc.geometry import uniform_thetas
+from imgloc.geometry import in_grid_frame, uniform_thetas
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.likelihoods.cbml import cbml
 from imgloc.likelihoods.ght import ght
+from imgloc.model import Pose2D
 from imgloc.options import Sensor
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate
@@ -24,7 +27,6 @@ from tools.bench.__main__ import (
     answer_times,
     as_row,
     bench_tables,
-    exhaustive_search,
     gathered,
     huge_map,
     in_turns,
@@ -32,6 +34,8 @@ from tools.bench.__main__ import (
     stack_cases,
     vote_cases,
 )
+from tools.bench.arithmetic import STEPS, Kernels
+from tools.bench.peers import beside
 
 
 @pytest.fixture(scope="module")
@@ -75,22 +79,15 @@ def test_every_case_runs_and_counts_its_work(case):
     assert all(t.work > 0 and t.median > 0 for t in timings)
 
 
-needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-
-
-@needs_compiler
-def test_a_search_in_c(shared):
-    assert 1 < exhaustive_search(shared / "problem", 1) < 10_000
-
-
-@needs_compiler
-def test_the_least_of_some_runs_in_c_counts(tmp_path):
-    (tmp_path / "floor").mkdir()
-    counts = '#include <stdio.h>\nint main(int c, char **v) { FILE *f = fopen("%s", "a+"); '
-    counts += 'fputs("x", f); printf("query median %%ld.5 ms", 10 - ftell(f)); return 0; }'
-    (tmp_path / "floor" / "cbml.c").write_text(counts % (tmp_path / "runs"))
-    assert exhaustive_search(tmp_path, 3) == 7.5
-    assert exhaustive_search(tmp_path, 1) == 6.5
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_the_arithmetic_of_an_answer_in_c_has_its_results(case):
+    features, scan = case
+    steps = Kernels().replay(features, scan)
+    assert set(steps) == set(STEPS)
+    assert all(step.ms > 0 and len(step.differs) > 100 for step in steps.values())
+    assert steps["correlate"].differs.max() == steps["sums_under"].differs.max() == 0
+    assert np.quantile(steps["refine"].differs, 0.9) < 1e-3  # rounding decides where a few go
+    assert np.quantile(steps["cast_along"].differs, 0.99) < 0.02
 
 
 def test_the_first_answer_is_compared_with_the_median():
@@ -102,7 +99,7 @@ def test_the_first_answer_is_compared_with_the_median():
 
 def test_answers_are_measured(case):
     times = answer_times(case[0].grid, [case[1]], 1)
-    assert set(times) == {"median_ms", "p99_over_median", "first_over_median", "prepare_s"}
+    assert {"median_ms", "p99_over_median", "first_over_median", "prepare_s"} < set(times)
     assert times["median_ms"] > 0
     assert times["p99_over_median"] == 1  # there is one
     with pytest.raises(ConfigError, match="scans"):
@@ -148,19 +145,66 @@ def test_the_largest_map_by_itself(capsys):
 
 def test_the_tables_of_the_tool(case):
     timings = in_turns([("nothing", "call", 1, lambda: None)], 1)
-    answers = {"A": {"median_ms": 2.0, "p99_over_median": 1.5, "prepare_s": 0.5, "over_c": 0.256}}
+    answers = {
+        "A": {"median_ms": 2.0, "p99_over_median": 1.5, "prepare_s": 0.5, "arithmetic_ms": 0.256}
+    }
     answers["A"]["first_over_median"] = 1.25
     command = {"help": 0.1, "localize_help": 0.12, "localize": 0.5, "item_ms": 60.4, "other": 0.9}
     command["one_over_two"] = 0.92
     text = bench_tables(
         {"machine": {"cores": 2}, "costs": [as_row(t) for t in timings],
-         "localize": answers, "command": {"B": command},
-         "yardstick": "no C compiler"}
+         "localize": answers, "command": {"B": command}}
     )  # fmt: skip
     assert "| nothing |" in text
-    assert "| A | 2 | 1.50 | 1.25 | 0.50 | 0.26 |" in text
+    assert "| A | 2 | 1.50 | 1.25 | 0.50 | 0.3 |" in text
     assert "| B | 0.10 | 0.12 | 0.50 | 0.90 | 60 | 0.92 |" in text
-    assert text.endswith("one thread: no C compiler")
-    tables = [part.splitlines() for part in text.split("\n\n")[1:-1]]
+    tables = [part.splitlines() for part in text.split("\n\n")[1:]]
     for lines in tables:  # as many cells in each line
         assert len({line.count("|") for line in lines}) == 1
+
+
+def peer_in(folder, answers):
+    """A program of the protocol that answers what it is to, whatever the scan."""
+    folder.mkdir(exist_ok=True)
+    lines = [f"#!{sys.executable}", "import sys, cv2", "image = cv2.imread(sys.argv[1], -1)"]
+    lines += [f"print(image.shape, float(sys.argv[2]), flush=True)\nanswers = {answers!r}"]
+    lines += ["for line, answer in zip(sys.stdin, answers): print(answer, flush=True)"]
+    (folder / "peer").write_text("\n".join(lines))
+    (folder / "peer").chmod(0o755)
+    (folder / "README").write_text("no program")
+
+
+def test_a_peer_answers_beside_imgloc(tmp_path, capsys):
+    grid = render(WORLDS["curved"](), 0.2)
+    grid = replace(grid, origin=Pose2D(-3.0, 2.0, 0.5))
+    told = simulate(grid, 4, 0, Sensor(rays=61))
+    (x, y, theta), *_ = (astuple(in_grid_frame(Pose2D(*pose), grid)) for pose in told.poses)
+    peer_in(tmp_path, [f"{x + 0.3} {y} {theta + 6.4}", "", "1 2 3", "1 2 3"])
+    row = beside(grid, told, tmp_path, 60.0, 7)["peer"]
+    assert (row["scans"], row["right"], row["own"]) == (4, 1, 4)
+    assert row["ms"] >= 0
+    assert row["own_ms"] > 1
+    text = bench_tables({"machine": {"cores": 2}, "peers": {"A, peer": row | {"ms": 30.0}}})
+    assert "| A, peer | 4 | 1 | 4 | 30 |" in text
+    path = tmp_path / "set" / "map.yaml"
+    path.parent.mkdir()
+    save_map(path, grid)
+    save_scans(path.with_name("scans.npz"), told)
+    words = ["--parts", "", "--sets", str(path), "--scans", "2", "--repeats", "1"]
+    assert main([*words, "--peers", str(tmp_path)]) == 0
+    assert "| set, peer | 2 | " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("answers", "expected"),
+    [(["here"], "peer: expected x y theta, got 'here'"), ([], "peer ended before it answered")],
+)
+def test_a_peer_that_fails_ends_the_bench(answers, expected, tmp_path):
+    grid = render(WORLDS["curved"](), 0.2)
+    peer_in(tmp_path, answers)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(ConfigError, match=expected):
+        beside(grid, simulate(grid, 1, 0, Sensor(rays=61)), tmp_path, 60.0, 0)
+    with pytest.raises(ConfigError, match="expected programs"):
+        beside(grid, simulate(grid, 1, 0, Sensor(rays=61)), empty, 60.0, 0)
