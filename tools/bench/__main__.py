@@ -383,12 +383,12 @@ def huge_map(size: int, count: int) -> None:
     The world ``large`` is repeated, in cells of 5 cm: each scan fits equally well in each copy.
     """
     cv2.setNumThreads(1)
-    grid = tiled(render(WORLDS["large"](), 0.05), size)
-    scans = simulate(grid, max(3, min(count, 5)), 0, Sensor(range_max=20.0)).scans
+    one = render(WORLDS["large"](), 0.05)
+    grid, scans = tiled(one, size), simulate(one, max(3, min(count, 5)), 0, Sensor(range_max=20.0))
     start = time.process_time()
     features = prepare(grid)
     prepared, seconds = time.process_time() - start, []
-    for scan in scans:
+    for scan in scans.scans:
         start = time.process_time()
         localize(features, scan)
         seconds.append(time.process_time() - start)
