@@ -119,8 +119,12 @@ class Watch:
                 return DISAGREES, f"no pose has come for {metres:.1f} m", moment.pose
         seen = self._seen(scan, base := in_grid_frame(claim, self.features.grid))
         suddenly = self._misfit_leapt(scan.laser, seen, stamp)
+        late = suddenly > _LOOKS[1] * _EACH
         if moment.belief.verdict == UNIQUE and moment.best is not None:
-            return self._beside(claim, moment.best, scan)
+            judged = self._beside(claim, moment.best, scan)
+            if late and judged[0] == AGREES:  # after so many scans it is things that differ
+                self._fitted.pop(scan.laser, None)
+            return judged
         if moment.withheld == BLIND or seen is None:
             return CANNOT, "the scans say nothing", None
         if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
@@ -130,7 +134,7 @@ class Watch:
         if answer.verdict == UNIQUE:
             mount = scan.T_base_laser or Pose2D(0.0, 0.0)
             return self._beside(claim, base_of(answer.hypotheses[0].pose, mount), scan)
-        if suddenly > _LOOKS[1] * _EACH:
+        if late:
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
         # One scan alone outweighs no place that holds.
         near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
