@@ -9,10 +9,12 @@ from imgloc.errors import ConfigError
 from imgloc.features import mapfeatures
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.raycast import cast_rays
 from imgloc.features.raydistance import ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.model import OccupancyGrid
+from imgloc.simulation.worlds import WORLDS, render
 
 
 @pytest.fixture
@@ -81,3 +83,19 @@ def test_thinner_walls_are_prepared_ahead_on_small_maps_alone(monkeypatch) -> No
     assert set(MapFeatures(grid).ready(2)._thinner) == {1, 2}
     monkeypatch.setattr("imgloc.features.mapfeatures.AHEAD_CELLS", walls.size - 1)
     assert not MapFeatures(grid).ready(2)._thinner
+
+
+def test_rays_on_a_very_large_map_go_by_bytes(monkeypatch):
+    grid = render(WORLDS["curved"](), 0.02)  # whole steps of more than a band, more than a byte
+    small = MapFeatures(grid)
+    monkeypatch.setattr("imgloc.features.mapfeatures.PEELED_CELLS", grid.occupied.size - 1)
+    large = MapFeatures(grid)
+    assert large.walls.dtype == np.uint8
+    np.testing.assert_array_equal(large.walls, np.minimum(np.floor(small.walls), 255))
+    np.testing.assert_array_equal(large.field.table, small.field.table)
+    rng = np.random.default_rng(0)
+    start = rng.uniform(0, grid.occupied.shape[0] * 0.02, (20_000, 2))
+    psi = rng.uniform(-np.pi, np.pi, len(start))
+    seen = [cast_rays(f.walls, start, psi, 30.0, 0.02) for f in (small, large)]
+    assert np.isfinite(seen[0]).sum() > 1000
+    assert np.mean(np.abs(np.nan_to_num(seen[0]) - np.nan_to_num(seen[1])) > 1e-5) < 1e-3  # corners

@@ -33,11 +33,10 @@ from imgloc.live.policy import LastPose
 from imgloc.live.settings import Settings
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
 from imgloc.options import Every, Options
+from tools.recorded import RIGHT
 from tools.script import parser_of
 from tools.trust.precision import REGION, TRUTH, difference, squared
 
-RIGHT = (0.5, float(np.deg2rad(10.0)))
-"""A pose is right if it is within this, metres and radians."""
 AT = (0.0, 1.0, 2.0, 5.0, 10.0)  #: metres driven after which shares are reported
 WRONG = (1.0, RIGHT[1])
 """``unique`` and farther off than this, metres or radians, is confidently wrong."""

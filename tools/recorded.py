@@ -15,6 +15,8 @@ from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import at_least_one
 
+#: Metres and radians within which a pose is right.
+RIGHT = (0.5, float(np.deg2rad(10.0)))
 #: Where the sensor sits on the robot whose odometry was recorded, if that is known: of duke_loop5
 #: as odometry and poses agree best while it turns.
 MOUNTS = {"duke_loop5": Pose2D(0.32, 0.0, 0.0)}

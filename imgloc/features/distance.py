@@ -22,7 +22,7 @@ RUN, DRAWN = number("distance.drawn")
 #: Steps in which a field keeps distances, metres, and slopes, metres per metre.
 UNIT, SLOPE = FARTHEST / 32000, 1 / 16000
 
-_BAND = 1024  # rows that are computed at a time: a large map takes no more memory than its field
+_BAND = 768  # rows that are computed at a time: a large map takes no more memory than its field
 FARTHEST_CELLS = 512.0  # farther counts as this far; up to it OpenCV's errors round off
 
 
@@ -57,6 +57,24 @@ def distance_image(occupied: BoolArray) -> Float32Array:
     [[0.0, 1.0, 2.0]]
     """
     return distance_transform(np.logical_not(occupied).astype(np.uint8))
+
+
+def whole_steps(occupied: BoolArray) -> npt.NDArray[np.uint8]:
+    """Whole cells that a ray may go: :func:`distance_image`, cut to bytes, at most 255.
+
+    Rays are the same with it, in more steps; it takes a quarter of the memory.
+
+    Examples
+    --------
+    >>> whole_steps(np.array([[True, False, False], [False] * 3])).tolist()
+    [[0, 1, 2], [1, 1, 2]]
+    """
+    out, most = np.empty(occupied.shape, np.uint8), np.iinfo(np.uint8).max
+    for top in range(0, len(out), _BAND):
+        low = max(0, top - most)
+        there = distance_image(occupied[low : top + _BAND + most])[top - low :][:_BAND]
+        np.minimum(there, most, out=out[top : top + _BAND], casting="unsafe")
+    return out
 
 
 def wall_thickness(distance: Float32Array) -> float:
@@ -254,7 +272,6 @@ def distance_field(
     ([0.75, 0.25], [-1.0, -1.0])
     """
     height, width = occupied.shape
-    walls = distance_image(occupied) if walls is None else walls
     table = np.zeros((height * width + 1, 4), dtype=np.int16)
     cells = table[:-1].reshape(height, width, 4)
     # Rows farther than this change neither a distance up to FARTHEST nor its slope.
@@ -262,7 +279,8 @@ def distance_field(
     for top in range(0, height, _BAND):
         low, high = max(0, top - margin), min(height, top + _BAND + margin)
         here = slice(top - low, min(height, top + _BAND) - low)
-        distance = signed_distance(occupied[low:high], resolution, walls[low:high])
+        some = None if walls is None else walls[low:high]
+        distance = signed_distance(occupied[low:high], resolution, some)
         rows = cells[top : top + _BAND]
         rows[..., 0] = np.rint(distance[here] / np.float32(UNIT))
         for column, order in ((1, (1, 0)), (2, (0, 1))):

@@ -25,10 +25,12 @@ from imgloc.features.distance import (
     peeled,
     straight_share,
     wall_thickness,
+    whole_steps,
 )
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.gradients import SOURCES, vmap_of_image
 from imgloc.features.pyramid import Level, any_of_blocks, coarse_info, pyramid
+from imgloc.features.raycast import Distances
 from imgloc.features.raydistance import ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, visibility_frames
@@ -129,12 +131,17 @@ class MapFeatures:
     @cached_property
     def field(self) -> DistanceField:
         """Signed distance to the surfaces, at the map's own resolution."""
-        return distance_field(self.grid.occupied, self.grid.resolution, self.walls)
+        walls = np.asarray(self.walls, np.float32) if self.peels else None
+        return distance_field(self.grid.occupied, self.grid.resolution, walls)
 
     @cached_property
-    def walls(self) -> Float32Array:
-        """Distance to the nearest occupied cell, in cells, for casting rays."""
-        return read_only(distance_image(self.grid.occupied))
+    def walls(self) -> Distances:
+        """Distance to the nearest occupied cell, in cells, for casting rays.
+
+        (H, W) float32; on very large maps (see :attr:`peels`) bytes of whole cells, at most 255.
+        """
+        made = distance_image if self.peels else whole_steps
+        return read_only(made(self.grid.occupied))
 
     @property
     def furnished(self) -> "MapFeatures | None":
@@ -194,9 +201,9 @@ class MapFeatures:
         That includes the same map with walls up to `thinnest` cells thinner, but of a small map
         only. On a very large map (see :attr:`peels`) only what each answer uses is computed.
         """
+        _ = self.straight  # what needs more than it keeps comes before what keeps much
         for there in self.both:
-            _ = there.field, there.walls, there.standable, there.free, there.pyramid
-        _ = self.straight
+            _ = there.standable, there.walls, there.field, there.free, there.pyramid
         if self.peels:
             _ = self.thickness
             ahead = thinnest if self.grid.occupied.size <= AHEAD_CELLS else 0

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from imgloc.model import BoolArray, GridInfo
 
-_BAND = 1024  # rows that are computed at a time: a large map takes little memory
+_BAND = 256  # rows that are computed at a time: a large map takes little memory
 
 
 def any_of_blocks(mask: BoolArray, factor: int) -> BoolArray:

@@ -17,10 +17,11 @@ _DIAGONAL = np.float32(np.sqrt(2))
 _STALE = 0.5  # share of ended rays among those that are carried on
 _FEW = 1 << 13  # rays, times cells that they may still go, that are looked at in one go
 _WHOLE = 1 << 24  # float32 holds all whole numbers below
+Distances = Float32Array | npt.NDArray[np.uint8]
 
 
 def cast_rays(
-    distance: Float32Array,
+    distance: Distances,
     origins: npt.ArrayLike,
     angles: npt.ArrayLike,
     max_range: npt.ArrayLike,
@@ -30,8 +31,9 @@ def cast_rays(
 
     Parameters
     ----------
-    distance : (H, W) float32 array
-        The :func:`~imgloc.features.distance.distance_image` of the map, in cells.
+    distance : (H, W) float32 or uint8 array
+        The :func:`~imgloc.features.distance.distance_image` of the map, in cells; or its
+        :func:`~imgloc.features.distance.whole_steps`.
     origins : (..., 2) array
         Where the rays start, x and y in metres in the grid frame.
     angles : (...) array
@@ -66,7 +68,7 @@ def cast_rays(
 
 
 def cast_along(
-    distance: Float32Array,
+    distance: Distances,
     origins: npt.ArrayLike,
     cosines: npt.ArrayLike,
     sines: npt.ArrayLike,
@@ -102,7 +104,7 @@ def cast_along(
 
 
 def _march(
-    distance: Float32Array, start: Float32Array, along: Float32Array, reach: Float32Array
+    distance: Distances, start: Float32Array, along: Float32Array, reach: Float32Array
 ) -> Float32Array:
     """:func:`cast_rays` in cells: length (N,) of each ray, inf if it meets nothing.
 
@@ -130,7 +132,7 @@ def _march(
         index = np.multiply(cell[1], width, dtype=exact)
         index += cell[0]
         # Beyond its reach a ray may be anywhere.
-        step = image.take(index.astype(np.intp), mode="clip")
+        step = image.take(index.astype(np.intp), mode="clip").astype(np.float32, copy=False)
         free, moves = step > 0, np.minimum(step, 1)  # 0 in a wall; all others are 1 away at least
         # Length of ray to the next border of cells along each axis.
         cell += ahead

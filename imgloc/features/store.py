@@ -124,7 +124,9 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
         return DistanceField(table, *shape, features.grid.resolution)
     if name == "straight":
         return bool(_take(parts, name, np.bool_, ()))
-    return _take(parts, name, np.float32, shape if name == "walls" else (2, *lattice.shape))
+    if name == "walls":
+        return _take(parts, name, np.float32 if features.peels else np.uint8, shape)
+    return _take(parts, name, np.float32, (2, *lattice.shape))
 
 
 def features_key(features: MapFeatures) -> str:

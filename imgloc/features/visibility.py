@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
-from imgloc.features.raycast import cast_rays
+from imgloc.features.raycast import Distances, cast_rays
 from imgloc.features.raydistance import HIT, SURFACE, watertight
 from imgloc.model import BoolArray, Float32Array, FloatArray, OrientedPoints
 from imgloc.threads import while_wanted
@@ -31,7 +31,7 @@ def visibility_frames(
     horizon: float,
     *,
     by: str = "march",
-    distance: Float32Array | None = None,
+    distance: Distances | None = None,
 ) -> Float32Array:
     """Distance to the nearest wall in each direction from the normal, as GHT-V reads it (Alg. 6).
 
@@ -47,8 +47,8 @@ def visibility_frames(
         Reach of the map, metres; one below the sensor's reach leaves some constraints unused.
     by : {"march", "polar"}
         ``polar`` is within a cell of ``march`` but for rays that graze a wall.
-    distance : (H, W) float32 array, optional
-        :func:`~imgloc.features.distance.distance_image` of `occupied`, if it is there already.
+    distance : (H, W) float32 or uint8 array, optional
+        Of `occupied`, if it is there already: as :func:`~imgloc.features.raycast.cast_rays` has it.
 
     Returns
     -------

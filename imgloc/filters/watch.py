@@ -81,8 +81,9 @@ class Watch:
         self._claim: tuple[float, Pose2D, Pose2D | None] | None = None
         self._against = 0  # looks in a row that are against it
         self._looked = -np.inf  # stamp of the last look at one scan alone
-        # Of each laser: the misfit at the pose before it leapt, nats per reading, and when it did.
-        self._fitted = dict[str, tuple[float, float]]()
+        # Of each laser: the misfit at the pose before it leapt, nats per reading, when it did, and
+        # the mass that the own filter gave the place then.
+        self._fitted = dict[str, tuple[float, float, float]]()
 
     def hear(self, stamp: float, pose: Pose2D, odom: Pose2D | None) -> None:
         """Take a pose of the base, map frame, with its stamp and the odometry of that time."""
@@ -118,9 +119,15 @@ class Watch:
             if (metres := float(np.hypot(way.x, way.y))) > _SILENT:
                 return DISAGREES, f"no pose has come for {metres:.1f} m", moment.pose
         seen = self._seen(scan, base := in_grid_frame(claim, self.features.grid))
-        suddenly = self._misfit_leapt(scan.laser, seen, stamp)
+        near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
+        held = float(moment.belief.mass[near].sum())
+        suddenly, begun = self._misfit_leapt(scan.laser, seen, stamp, held)
+        late = suddenly > _LOOKS[1] * _EACH
         if moment.belief.verdict == UNIQUE and moment.best is not None:
-            return self._beside(claim, moment.best, scan)
+            judged = self._beside(claim, moment.best, scan)
+            if late and judged[0] == AGREES:  # after so many scans it is things that differ
+                self._fitted.pop(scan.laser, None)
+            return judged
         if moment.withheld == BLIND or seen is None:
             return CANNOT, "the scans say nothing", None
         if stamp < self._looked + _EACH:  # one look is dear, and the next scan is hardly another
@@ -130,11 +137,9 @@ class Watch:
         if answer.verdict == UNIQUE:
             mount = scan.T_base_laser or Pose2D(0.0, 0.0)
             return self._beside(claim, base_of(answer.hypotheses[0].pose, mount), scan)
-        if suddenly > _LOOKS[1] * _EACH:
+        if late and held <= begun:  # else the scans since then speak for the place
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
-        # One scan alone outweighs no place that holds.
-        near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
-        if (held := float(moment.belief.mass[near].sum())) > _CHANCE:
+        if held > _CHANCE:  # one scan alone outweighs no place that holds
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
         if seen.gained > -_LEAD:
             return CANNOT, "several places fit, or the scan says little", None
@@ -149,19 +154,24 @@ class Watch:
         at = settled(self.features, view, np.array([[*base]]))
         return sight(self.features, view, at, self.options)
 
-    def _misfit_leapt(self, laser: str, seen: Sight | None, stamp: float) -> float:
+    def _misfit_leapt(
+        self, laser: str, seen: Sight | None, stamp: float, held: float
+    ) -> tuple[float, float]:
         """Seconds for which scans have fitted far worse at a pose than just before; 0 if not.
 
         A changed place fits worse step by step, another place at once. Where scans fitted badly
-        before, this means nothing.
+        before, this means nothing. Also the mass with which the place was `held` at the first.
         """
-        how, (fitted, since) = TrackerOptions(), self._fitted.pop(laser, (np.nan, stamp))
+        how, nothing = TrackerOptions(), (np.nan, stamp, np.nan)
+        fitted, since, then = self._fitted.pop(laser, nothing)
         if seen is None:
-            return 0.0
+            return 0.0, held
         if not (fitted <= how.fits[1] and seen.misfit[0] > fitted + how.surprise[1]):
-            fitted, since = float(seen.misfit[0]), stamp
-        self._fitted[laser] = fitted, since
-        return stamp - since
+            fitted, since, then = float(seen.misfit[0]), stamp, np.nan
+        elif np.isnan(then):
+            then = held
+        self._fitted[laser] = fitted, since, then
+        return stamp - since, then
 
     def _beside(
         self, claim: Pose2D, own: Pose2D, scan: LaserScan

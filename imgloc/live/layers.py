@@ -63,7 +63,7 @@ def feature_layer(features: MapFeatures, what: str) -> Layer:
     if what == "bmap":
         return _grey(features.bmap, cell, 0.0, 1.0)
     if what == "distance":
-        metres = features.walls * features.grid.resolution
+        metres = features.walls * np.float32(features.grid.resolution)
         return _grey(metres, features.grid.resolution, 0.0, min(_NEAR, float(metres.max())))
     x, y = (np.asarray(v, dtype=np.float64) for v in features.vmap)
     strength = np.hypot(x, y)

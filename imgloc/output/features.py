@@ -81,7 +81,7 @@ def draw_feature(
         canvas = draw_bmap(features.bmap, lattice, part)
         bar = Bar(_GREYS, 0.0, 1.0, 0.25, "blurred walls: 1 on a wall, 0 far from walls")
     elif what == "distance":
-        canvas = draw_distance(features.walls * grid.resolution, grid.info, part)
+        canvas = draw_distance(features.walls * np.float32(grid.resolution), grid.info, part)
         colours = _viridis(np.linspace(0, _NEAR, 64)[None])
         about = f"metres to a wall ({_NEAR:g}: or more), a line at each metre"
         bar = Bar(colours, 0.0, _NEAR, 1.0, about)

@@ -57,8 +57,14 @@ class Which(Job):
     def look(
         self, item: Item, desk: Desk, taken: Taken | None = None, *, file: Path | None = None
     ) -> "Choosing":
-        """Make the index of an item's maps, or read what of it is in a `file`, which is kept."""
+        """Make the index of an item's maps, or read what of it is in a `file`, which is kept.
+
+        Few maps are all searched, so without a file they need none.
+        """
         found = Choosing(self, item, desk, taken)
+        if file is None and at_first(len(item.maps)) == len(item.maps):
+            found.index = MapIndex(tuple(found.files), (), ())
+            return found
         about = f"{sorted(self.maps.reading.items())} {self.maps.allow_lossy}"
         contents = tuple(content_hash(files_of(path)) for _, path in item.maps)
 

@@ -2,27 +2,29 @@
 
 import json
 import shutil
+import sys
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
 from imgloc.features.scanpoints import scan_points, scan_xy
-from imgloc.geometry import uniform_thetas
+from imgloc.geometry import in_grid_frame, uniform_thetas
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.likelihoods.cbml import cbml
 from imgloc.likelihoods.ght import ght
+from imgloc.model import Pose2D
 from imgloc.options import Sensor
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
-from tools.bench import (
+from tools.bench.__main__ import (
     PAIR_HEADINGS,
     added,
     answer_times,
     bench_tables,
-    exhaustive_search,
     gathered,
     huge_map,
     in_turns,
@@ -30,6 +32,8 @@ from tools.bench import (
     stack_cases,
     vote_cases,
 )
+from tools.bench.arithmetic import STEPS, Kernels
+from tools.bench.peers import beside
 
 
 @pytest.fixture(scope="module")
@@ -73,17 +77,20 @@ def test_every_case_runs_and_counts_its_work(case):
     assert all(t.work > 0 and t.median > 0 for t in timings)
 
 
-needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-
-
-@needs_compiler
-def test_a_search_in_c(shared):
-    assert 1 < exhaustive_search(shared / "problem", 1) < 10_000
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_the_arithmetic_of_an_answer_in_c_has_its_results(case):
+    features, scan = case
+    steps = Kernels().replay(features, scan)
+    assert set(steps) == set(STEPS)
+    assert all(step.ms > 0 and len(step.differs) > 100 for step in steps.values())
+    assert steps["correlate"].differs.max() == steps["sums_under"].differs.max() == 0
+    assert np.quantile(steps["refine"].differs, 0.9) < 1e-3  # rounding decides where a few go
+    assert np.quantile(steps["cast_along"].differs, 0.99) < 0.02
 
 
 def test_answers_are_measured(case):
     times = answer_times(case[0].grid, [case[1]], 1)
-    assert set(times) == {"median_ms", "p99_over_median", "first_over_median", "prepare_s"}
+    assert {"median_ms", "p99_over_median", "first_over_median", "prepare_s"} < set(times)
     assert times["median_ms"] > 0
     assert times["p99_over_median"] == 1  # there is one
     with pytest.raises(ConfigError, match="scans"):
@@ -125,3 +132,50 @@ def test_the_largest_map_by_itself(capsys):
     assert found["prepare"] + found["answer"] < 100
     text = bench_tables({"machine": {"cores": 2}, "huge": {"300 x 300": found}})
     assert f"| 300 x 300 | {found['prepare']:.1f} |" in text
+
+
+def peer_in(folder, answers):
+    """A program of the protocol that answers what it is to, whatever the scan."""
+    folder.mkdir(exist_ok=True)
+    lines = [f"#!{sys.executable}", "import sys, cv2", "image = cv2.imread(sys.argv[1], -1)"]
+    lines += [f"print(image.shape, float(sys.argv[2]), flush=True)\nanswers = {answers!r}"]
+    lines += ["for line, answer in zip(sys.stdin, answers): print(answer, flush=True)"]
+    (folder / "peer").write_text("\n".join(lines))
+    (folder / "peer").chmod(0o755)
+    (folder / "README").write_text("no program")
+
+
+def test_a_peer_answers_beside_imgloc(tmp_path, capsys):
+    grid = render(WORLDS["curved"](), 0.2)
+    grid = replace(grid, origin=Pose2D(-3.0, 2.0, 0.5))
+    told = simulate(grid, 4, 0, Sensor(rays=61))
+    (x, y, theta), *_ = (astuple(in_grid_frame(Pose2D(*pose), grid)) for pose in told.poses)
+    peer_in(tmp_path, [f"{x + 0.3} {y} {theta + 6.4}", "", "1 2 3", "1 2 3"])
+    row = beside(grid, told, tmp_path, 60.0, 7)["peer"]
+    assert (row["scans"], row["right"], row["own"]) == (4, 1, 4)
+    assert row["ms"] >= 0
+    assert row["own_ms"] > 1
+    text = bench_tables({"machine": {"cores": 2}, "peers": {"A, peer": row | {"ms": 30.0}}})
+    assert "| A, peer | 4 | 1 | 4 | 30 |" in text
+    path = tmp_path / "set" / "map.yaml"
+    path.parent.mkdir()
+    save_map(path, grid)
+    save_scans(path.with_name("scans.npz"), told)
+    words = ["--parts", "", "--sets", str(path), "--scans", "2", "--repeats", "1"]
+    assert main([*words, "--peers", str(tmp_path)]) == 0
+    assert "| set, peer | 2 | " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("answers", "expected"),
+    [(["here"], "peer: expected x y theta, got 'here'"), ([], "peer ended before it answered")],
+)
+def test_a_peer_that_fails_ends_the_bench(answers, expected, tmp_path):
+    grid = render(WORLDS["curved"](), 0.2)
+    peer_in(tmp_path, answers)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(ConfigError, match=expected):
+        beside(grid, simulate(grid, 1, 0, Sensor(rays=61)), tmp_path, 60.0, 0)
+    with pytest.raises(ConfigError, match="expected programs"):
+        beside(grid, simulate(grid, 1, 0, Sensor(rays=61)), empty, 60.0, 0)

@@ -1,8 +1,9 @@
 """The benchmark: every method and engine beside plain references and C, timed in turns in one run.
 
     python -m tools.bench                        # on a bundled world
-    python -m tools.bench --problem ../problem   # on maps A and B, beside a search in C
+    python -m tools.bench --problem ../problem   # on maps A and B
     python -m tools.bench --parts localize,command --sets ../data/*/map.yaml   # on recorded scans
+    python -m tools.bench --parts "" --peers DIR --sets ../data/*/map.yaml  # beside other matchers
     python -m tools.bench --parts huge           # a map of 10,000 x 10,000 cells
     python -m tools.bench --parts localize,command --cells 4000   # on a map of so many a side
 
@@ -14,7 +15,6 @@ import argparse
 import json
 import os
 import platform
-import re
 import resource
 import shutil
 import subprocess
@@ -54,12 +54,14 @@ from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, to_json
 from imgloc.simulation.worlds import WORLDS, render
+from tools.bench.arithmetic import Kernels
+from tools.bench.peers import beside
 from tools.recorded import recorded_sets
 from tools.script import at_least_one, ended, one_of, parser_of, table_lines, take_turns
 
 PARTS = ("costs", "localize", "command", "huge")
-"""Stacks and votes beside plain references; answers, beside a search in C; the command from a warm
-cache, and its batch with one worker and two; the largest map."""
+"""Stacks and votes beside plain references; answers, beside their arithmetic in C; the command from
+a warm cache, and its batch with one worker and two; the largest map."""
 HUGE = 10_000
 """Cells of the largest map along a side."""
 
@@ -76,6 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     first = ",".join(PARTS[:2])
     add("--parts", default=first, help=f"of {', '.join(PARTS)}, commas between (default: {first})")
     add("--cells", type=int, help="along a side of the map, and of the one of `huge`")
+    add("--peers", type=Path, help="folder of programs that answer, too: see tools/bench/peers.py")
+    add("--peer-seconds", type=float, default=12.0, help="of a processor, for each map")
+    add("--beams", type=int, default=180, help="readings that a peer gets of a scan, 0 for all")
     add("--repeats", type=int, default=5)
     add("--threads", type=int, default=os.cpu_count() or 1)
     add("--scans", type=int, default=50, help="answers of localize")
@@ -94,7 +99,7 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
     """Measure what the command line asks for, as one set of plain values."""
     problem, repeats, threads = given.problem, given.repeats, given.threads
     at_least_one(repeats=repeats, threads=threads, scans=given.scans)
-    parts = given.parts.split(",")
+    parts = given.parts.split(",") if given.parts else []
     one_of(parts, PARTS)
     cv2.setNumThreads(1)  # what has threads says so
     out: dict[str, Any] = {
@@ -119,23 +124,24 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
             "readings": int(scan.valid.sum()), "costs": [as_row(t) for t in timings],
         }  # fmt: skip
     if "localize" in parts:
-        answers, searches = dict[str, dict[str, float]](), list[float | str]()
-        for name, grid, scans in (*((k, *of) for k, of in maps.items()), *recorded):
-            answers[name] = answer_times(grid, scans.scans[: given.scans], threads, repeats)
-            if problem is not None:  # in turns with the answers: others use the machine, too
-                searches.append(exhaustive_search(problem, repeats))
-        out["localize"] = answers
-        if searches:
-            known = [ms for ms in searches if isinstance(ms, float)]
-            out["yardstick"] = min(known) if known else searches[0]
-            for row in answers.values() if known else ():
-                row["over_c"] = row["median_ms"] / min(known)
+        out["localize"] = {
+            name: answer_times(grid, scans.scans[: given.scans], threads, repeats)
+            for name, grid, scans in (*((k, *of) for k, of in maps.items()), *recorded)
+        }
     if "command" in parts:
         everything = (*((name, *of) for name, of in maps.items()), *recorded)
         out["command"] = {name: command_times(g, told, repeats) for name, g, told in everything}
+    if given.peers is not None:
+        out["peers"] = {
+            f"{name}, {peer}": row
+            for name, grid, told in (*((k, *of) for k, of in maps.items()), *recorded)
+            for peer, row in beside(
+                grid, told, given.peers, given.peer_seconds, given.beams
+            ).items()
+        }
     if "huge" in parts:
         cells = given.cells or HUGE
-        code = f"from tools.bench import huge_map; huge_map({cells}, {given.scans})"
+        code = f"from tools.bench.__main__ import huge_map; huge_map({cells}, {given.scans})"
         done = subprocess.run((sys.executable, "-c", code), check=True, capture_output=True)  # noqa: S603
         out["huge"] = {f"{cells} x {cells}": json.loads(done.stdout)}
     return out
@@ -160,13 +166,13 @@ def bench_tables(results: Mapping[str, Any]) -> str:
     Examples
     --------
     >>> row = {"median_ms": 20.0, "p99_over_median": 1.49, "prepare_s": 1.0}
-    >>> row |= {"first_over_median": 2.0}
+    >>> row |= {"first_over_median": 2.0, "arithmetic_ms": 6.0}
     >>> print(bench_tables({"machine": {"cores": 2}, "localize": {"A": row}}))
     cores 2
     <BLANKLINE>
-    | localize on | ms | p99 / median | first / median | prepare, s | of a search in C |
+    | localize on | ms | p99 / median | first / median | prepare, s | arithmetic in C, ms |
     |---:|---:|---:|---:|---:|---:|
-    | A | 20 | 1.49 | 2.00 | 1.00 |  |
+    | A | 20 | 1.49 | 2.00 | 1.00 | 6.0 |
     """
     parts = [", ".join(f"{key} {value}" for key, value in results["machine"].items())]
     for key, (head, cells) in _TABLES.items():
@@ -175,8 +181,6 @@ def bench_tables(results: Mapping[str, Any]) -> str:
             if isinstance(found, dict):
                 rows = [{"name": k, **r} for k, r in found.items()]
             parts.append("\n".join(table_lines(head, map(cells, rows), "---:")))
-    if (ms := results.get("yardstick")) is not None:
-        parts.append(f"{_YARDSTICK}: {ms if isinstance(ms, str) else f'{ms:.4g} ms'}")
     return "\n\n".join(parts)
 
 
@@ -188,11 +192,10 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
         ),
     ),
     "localize": (
-        "localize on | ms | p99 / median | first / median | prepare, s | of a search in C",
+        "localize on | ms | p99 / median | first / median | prepare, s | arithmetic in C, ms",
         lambda r: (
             r["name"], f"{r['median_ms']:.0f}", f"{r['p99_over_median']:.2f}",
-            f"{r['first_over_median']:.2f}", f"{r['prepare_s']:.2f}",
-            f"{r['over_c']:.2f}" if "over_c" in r else "",
+            f"{r['first_over_median']:.2f}", f"{r['prepare_s']:.2f}", f"{r['arithmetic_ms']:.1f}",
         ),
     ),
     "command": (
@@ -203,12 +206,18 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
             f"{r['other']:.2f}", f"{r['item_ms']:.0f}", f"{r['one_over_two']:.2f}",
         ),
     ),
+    "peers": (
+        "peer on | scans | it has right | imgloc has right | ms | imgloc, ms | times as fast",
+        lambda r: (
+            r["name"], r["scans"], r["right"], r["own"], f"{r['ms']:.0f}", f"{r['own_ms']:.0f}",
+            f"{r['ms'] / r['own_ms']:.1f}",
+        ),
+    ),
     "huge": (
         "cells | prepare, s | answer, s | memory, GB",
         lambda r: (r["name"], f"{r['prepare']:.1f}", f"{r['answer']:.2f}", f"{r['gb']:.2f}"),
     ),
 }  # fmt: skip
-_YARDSTICK = "every pose of CBML on map A in hand-written C, one thread"
 
 
 @dataclass(frozen=True)
@@ -269,8 +278,11 @@ def answer_times(
     """How long answers take, see :func:`answer_summary`; ConfigError without a scan.
 
     Of a scan the least of `repeats` counts: the tail is that of the scans, not of the machine.
+    `arithmetic_ms`, of :mod:`tools.bench.arithmetic`, is measured between the answers; NaN without
+    a C compiler.
     """
     at_least_one(scans=len(scans))
+    kernels = Kernels() if shutil.which("cc") else None
     cv2.setNumThreads(threads)
     # Others use the machine, too; but the processor's time of two threads is twice that of one.
     clock = time.process_time if threads == 1 else time.perf_counter
@@ -283,10 +295,17 @@ def answer_times(
         localize(features, scan, options)
         return 1e3 * (clock() - start)
 
+    def in_c(scan: LaserScan) -> float:
+        if kernels is None:
+            return float("nan")
+        return sum(step.ms for step in kernels.replay(features, scan).values())
+
     first = taken(scans[0])
-    turns = [[taken(scan) for scan in scans] for _ in range(repeats)]
+    turns = [[(taken(scan), in_c(scan)) for scan in scans] for _ in range(repeats)]
     cv2.setNumThreads(1)
-    return answer_summary([first, *np.min(turns, axis=0).tolist()], prepared)
+    ms, arithmetic = np.min(turns, axis=0).T
+    of_c = {"arithmetic_ms": float(np.median(arithmetic))}
+    return answer_summary([first, *ms.tolist()], prepared) | of_c
 
 
 def answer_summary(ms: Sequence[float], prepare_s: float) -> dict[str, float]:
@@ -364,12 +383,12 @@ def huge_map(size: int, count: int) -> None:
     The world ``large`` is repeated, in cells of 5 cm: each scan fits equally well in each copy.
     """
     cv2.setNumThreads(1)
-    grid = tiled(render(WORLDS["large"](), 0.05), size)
-    scans = simulate(grid, max(3, min(count, 5)), 0, Sensor(range_max=20.0)).scans
+    one = render(WORLDS["large"](), 0.05)
+    grid, scans = tiled(one, size), simulate(one, max(3, min(count, 5)), 0, Sensor(range_max=20.0))
     start = time.process_time()
     features = prepare(grid)
     prepared, seconds = time.process_time() - start, []
-    for scan in scans:
+    for scan in scans.scans:
         start = time.process_time()
         localize(features, scan)
         seconds.append(time.process_time() - start)
@@ -464,46 +483,6 @@ def tiled(one: OccupancyGrid, size: int) -> OccupancyGrid:
     times = [-(-size // n) for n in one.occupied.shape]
     occupied, free = (np.tile(v, times)[:size, :size] for v in (one.occupied, one.free))
     return OccupancyGrid(occupied.copy(), free.copy(), one.resolution)
-
-
-def exhaustive_search(problem: Path, repeats: int) -> float | str:
-    """What C takes for CBML of map A and its argmax, ms; or why it is not known.
-
-    On one thread, 120 headings and a scan; of `repeats` the least. A yardstick from one machine to
-    another, and a rough one: Python and vectorised C need not be slower by the same factor.
-    """
-    return _in_c(problem, "cbml", _SEARCH, r"query median ([\d.]+) ms", repeats)
-
-
-_SEARCH = "0.1", "0.1", str(HEADINGS), "0", "10", "1"
-
-
-def _in_c(
-    problem: Path, name: str, arguments: Sequence[str], pattern: str, repeats: int = 1
-) -> float | str:
-    """The least number that a program prints in `repeats` runs on map A, or why there is none."""
-    compiler, source = shutil.which("cc"), problem / "floor" / f"{name}.c"
-    if compiler is None or not source.exists():
-        return "no C compiler" if compiler is None else f"no {source.name}"
-
-    def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(words, check=False, capture_output=True, text=True)  # noqa: S603
-
-    least = float("inf")
-    with tempfile.TemporaryDirectory() as folder:
-        program, flags = Path(folder) / name, ("-O3", "-march=native", "-ffast-math", "-w")
-        built = run(compiler, *flags, source, "-o", program, "-lm", "-lpthread")
-        if built.returncode:
-            return f"not compiled: {_last_line(built.stderr)}"
-        for _ in range(repeats):
-            done = run(program, problem / "mapA.pgm", problem / "scans_10m.txt", *arguments)
-            found = re.search(pattern, done.stdout)
-            if done.returncode and not found:
-                return f"ended with {done.returncode}: {_last_line(done.stderr)}"
-            if not found:
-                return f"not understood: {done.stdout[:80]!r}"
-            least = min(least, float(found[1]))
-    return least
 
 
 def _last_line(text: str) -> str:
