@@ -187,6 +187,13 @@ def test_marks_between_thousands_are_no_decimal_ones(tmp_path: Path, caplog, mon
             scans = loaded(tmp_path, VIEW + table([], cells, between))
             np.testing.assert_array_equal([scan.ranges for scan in scans.scans], some)
     assert "in thousands" in caplog.text
+    rows = [
+        [f"{v:,.0f}", f"{a:,.0f}"] for v, a in zip(1000 * RANGES[0], 50 * RANGES[1], strict=True)
+    ]
+    for turn in (1, -1):  # a column that is in millimetres decides for those before it, too
+        cells = [[k, *row[::turn]] for k, row in enumerate(rows)]
+        text = table(["angle_deg", *["distance_mm", "signal"][::turn]], cells, ";")
+        np.testing.assert_allclose(loaded(tmp_path, text)[0].ranges, RANGES[0], atol=1e-3)
     cells = [[f"{v:.3f}".replace(".", ",") for v in row] for row in RANGES]
     assert loaded(tmp_path, VIEW + table([], cells, ";"))[0].ranges[0] == RANGES[0, 0]
 
@@ -214,10 +221,43 @@ def test_a_count_is_no_range(tmp_path: Path) -> None:
 
 
 def test_columns_of_two_names_are_not_all_ranges(tmp_path: Path) -> None:
-    names = [f"{word}{k}" for k in range(RAYS) for word in "ri"]
-    text = table(names, [[v for r in row for v in (r, 47)] for row in RANGES])
-    with pytest.raises(ScanError, match="columns i0, i1, i2, i3, i4: the other columns are ranges"):
-        loaded(tmp_path, VIEW + text)
+    rows = [[v for r in row for v in (r, 47)] for row in RANGES]
+    for words in (("r", "i"), ("d", "q"), ("dist_", "quality_")):
+        text = VIEW + table([f"{word}{k}" for k in range(RAYS) for word in words], rows)
+        if words[0] != "d":
+            np.testing.assert_array_equal(loaded(tmp_path, text)[1].ranges, RANGES[1])
+            continue
+        with pytest.raises(ScanError, match="columns q0, q1, q2, q3, q4: besides ranges such as d"):
+            loaded(tmp_path, text)
+
+
+def test_a_column_beside_angles_and_ranges_is_no_second_scan(tmp_path: Path) -> None:
+    degrees, noise = np.rad2deg(ANGLES).tolist(), np.random.default_rng(5).permutation(RAYS)
+    for others in (50 + noise, 0.1 + noise / 7, RANGES[1] - 5):
+        text = table([], [list(row) for row in zip(degrees, RANGES[0], others, strict=True)])
+        with pytest.raises(ScanError, match=r"column 1 holds angles.*angle,range,intensity, or"):
+            loaded(tmp_path, text)
+    text = table([], [[a, r, r + 0.1] for a, r in zip(degrees, RANGES[0], strict=True)])
+    assert len(loaded(tmp_path, text)) == 2
+
+
+def test_a_turn_of_400_is_in_gradians(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    turn = np.arange(0, 400, 400 / RAYS).tolist()
+    down = [list(pair) for pair in zip(turn, RANGES[0], strict=True)]
+    for text in (table(["t", *turn], [[0, *RANGES[0]]]), table(["angle", "range"], down)):
+        scan = loaded(tmp_path, text)[0]
+        np.testing.assert_allclose(scan.angles, np.deg2rad(np.arange(0, 360, 10)))
+        assert "they are taken for gradians" in caplog.text
+        caplog.clear()
+
+
+def test_the_order_of_an_rplidar_is_named(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    rows = [[47, a, r] for a, r in zip(np.arange(0, 360, 10), RANGES[0], strict=True)]
+    (scan,) = loaded(tmp_path, table([], rows)).scans
+    np.testing.assert_allclose(scan.ranges, RANGES[0])
+    assert "an RPLIDAR, which turns clockwise: pass `flipped=True`" in caplog.text
 
 
 def test_a_table_of_windows_has_its_degrees(tmp_path: Path) -> None:
@@ -416,8 +456,11 @@ def test_an_echo_whose_step_cannot_be_is_left_out(tmp_path: Path, step: str) -> 
 @pytest.mark.parametrize(("rest", "warned"), [(0, True), (47, True), (np.inf, False)])
 def test_a_half_of_each_line_that_is_one_number(tmp_path: Path, caplog, rest, warned) -> None:
     (tmp_path / "a.csv").write_text(table([], [[*row, *[rest] * RAYS] for row in RANGES.tolist()]))
+    if warned:
+        with pytest.raises(ScanError, match=f"`fov`; after {RAYS} columns each line is {rest}: if"):
+            load_scans(tmp_path / "a.csv")
     assert len(load_scans(tmp_path / "a.csv", fov=np.pi)[0].ranges) == 2 * RAYS
-    assert ("half of each line is" in caplog.text) == warned  # open space is no intensity
+    assert ("each line is" in caplog.text) == warned  # open space is no intensity
 
 
 def test_a_cell_longer_than_any_is_a_broken_line(tmp_path: Path) -> None:

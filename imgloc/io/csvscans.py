@@ -51,8 +51,12 @@ _SAID = re.compile(
     rf"(?:(?:\b|_)(?:units?|in|are)\b[\s:='\"]*|[(\[])(?:({_LENGTH})|({_TURNED}))(?![\w.])"
 )
 # Finer units of angles, and how many are a degree; views of sensors are multiples of some degrees.
-_TIMES = {"tenths of a degree": 10, "hundredths of a degree": 100, "milliradians": 1000 * _DEGREE}
+_TIMES = {
+    "gradians": 10 / 9, "tenths of a degree": 10, "hundredths of a degree": 100,
+    "milliradians": 1000 * _DEGREE,
+}  # fmt: skip
 _TURN, _VIEW, _OFF = 360, 30, 2  # degrees
+_TURNS = math.tau, _TURN, _TURN * _TIMES["gradians"]
 _ENDS = re.compile(r"\b(start|end)_angle$")
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
 _ROLES = (
@@ -75,6 +79,7 @@ _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
 # How a cell with a list begins.
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-n\])])")
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
+_TOGETHER = 0.5  # rank correlation of two scans, of which most in 7 recorded logs have more
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
 # How many times as much ranges differ from the next number as from the one after it if others stand
 # between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole
@@ -85,6 +90,7 @@ _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
 _POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./][zw])")
 _AXES = "position/x", "position/y", "orientation/z", "orientation/w"
+_CLOCKWISE = "; quality, angle, range are of an RPLIDAR, which turns clockwise: pass `flipped=True`"
 _POINTS = " are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y)"
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
 Role = tuple[str, int, float]  #: of a column, see :func:`role_of`
@@ -180,14 +186,14 @@ def _pointed(body: list[Row], name: str) -> list[Row]:
     heads = [role_of(cell)[2] for cell in body[0][1]] if len(some) > 1 else []
     for mark in ",.' \xa0\u202f":
         form = re.compile(rf"[-+]?[1-9]\d?\d?(\{mark}\d{{3}})+([.,]\d+)?")
-        both, sure = list[str](), False  # cells of columns with such a mark, and without
-        for column, unit in itertools.zip_longest(columns, heads[: len(columns)]):
-            there = [cell for cell in column if mark in cell and _SPELLED.match(cell)]
-            below = [cell for cell in column if mark not in cell and _BELOW.fullmatch(cell)]
-            # No laser sees thousandths of a millimetre, nor anything as near as 10 cm alone.
-            mm = unit == _UNITS["mm"] and all(len(cell.partition(mark)[0]) < 3 for cell in there)
-            sure |= bool(there) and (mm or mark not in ",.")
-            both += [*there, *below] if there and (below or sure) else []
+        there = [[c for c in col if mark in c and _SPELLED.match(c)] for col in columns]
+        below = [[c for c in col if mark not in c and _BELOW.fullmatch(c)] for col in columns]
+        # No laser sees thousandths of a millimetre, nor anything as near as 10 cm alone.
+        short = [all(len(cell.partition(mark)[0]) < 3 for cell in cells) for cells in there]
+        known = [unit == _UNITS["mm"] for unit in heads] or [False] * len(columns)
+        sure = any(cells and (mark not in ",." or (mm and near))
+                   for cells, mm, near in zip(there, known, short, strict=False))  # fmt: skip
+        both = [c for a, b in zip(there, below, strict=True) if a and (b or sure) for c in a + b]
         marked = [cell for cell in both if mark in cell]
         if (sure or len({*both} - {*marked}) > 1) and all(map(form.fullmatch, marked)):
             _LOG.warning("%s: %s is read as %s, in thousands", name, marked[0],
@@ -286,6 +292,7 @@ class _Table:
     rows: list[tuple[str, FloatArray]] = field(default_factory=list)
     length: float = 1.0  #: metres, that a comment gives as the unit of ranges
     turn: float = 1.0  #: radians, likewise of angles
+    block: str = ""  #: what is said of numbers at the end of each line that may be no ranges
 
     def read(self, names: list[str], fov: float | None) -> ScanSet:
         """The scans, of columns that are called so, if they are."""
@@ -307,7 +314,7 @@ class _Table:
             if names and not ranges:
                 found = f"columns {', '.join(names[:5])}"
                 raise ScanError(f"{self.name}: {found}, expected columns called angle and range")
-            _check_alike([names[i] for i in ranges], self.name)
+            ranges = _alike(ranges, names, self.name)
         used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
         self._parse([*used, *ranges] if names else None, names)
         if not names:
@@ -328,6 +335,7 @@ class _Table:
         if not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
             if fov is None:
                 expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
+                expected += self.block and f"; {self.block}"
                 raise ScanError(f"{self.rows[0][0]}: angles: missing, expected {expected}")
             self.settings["angles"] = spread(len(ranges), fov)
         entries = list[Entry]()
@@ -405,38 +413,17 @@ class _Table:
         values = [len(np.unique(column)) for column in table.T]
         at = int(np.argmax(even)) if len(table) > _EVEN else 0
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
-        if rest[1:] and (2 * even[at] < 1 or 2 * values[rest[1]] > values[rest[0]]):
+        apart = 8 if [at, *rest] == [0, 2, 1] else 2  # nobody has a quality before the range
+        if rest[1:] and (2 * even[at] < 1 or apart * values[rest[1]] > values[rest[0]]):
             return {}
         if len(table) > _EVEN and onward[at] < _ONWARD:
             expected = "angles in their order, or names of the columns"
             raise ScanError(f"{self.name}: no column rises or falls; expected {expected}")
         if at:
             text = f"column {at + 1} rises or falls evenly: it is taken for the angle"
+            text += _CLOCKWISE * ([at, *rest] == [1, 2, 0])
             _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
         return {"angle": at, "range": rest[0]}
-
-    def _radians(self, angles: FloatArray, unit: float) -> FloatArray:
-        """Angles in radians; if no `unit` is given, they are of the one in which a turn fits."""
-        known = angles[np.isfinite(angles)]
-        step = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
-        high, low = known.max(initial=-math.inf), known.min(initial=math.inf)
-        span, most = float(high - low), float(max(high, -low))
-        grad = math.isnan(unit)  # degrees in German, gradians in English
-        if not grad and (unit != 1 or (most <= 2 * math.tau and span <= math.tau + 2 * step)):
-            return angles * unit
-        finer = {"degrees": 1.0, "gradians": 10 / 9} if grad else _TIMES
-        seen = (span + step, *[span] * grad)
-        views = [(name, view / times) for name, times in finer.items() for view in seen]
-        fits = (name for name, view in views if view <= _TURN + _OFF
-                and abs(view - _VIEW * round(view / _VIEW)) <= _OFF)  # fmt: skip
-        likely = "degrees" if grad or span <= 2 * _TURN else ""
-        name = next(fits, likely) if grad or not likely else likely
-        if not name:
-            expected = "radians or degrees; or call their column angle_cdeg or angle_mrad"
-            raise ScanError(f"{self.name}: angles: span {span:g}, expected {expected}")
-        text = f"the angles span {span:g}, more than a turn in radians: they are taken for {name}"
-        _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
-        return np.deg2rad(angles / finer.get(name, 1.0))
 
     def _turns(self, fov: float | None) -> bool:
         """Return whether the first column holds angles, and each other one a scan."""
@@ -447,7 +434,26 @@ class _Table:
         if angles is None:
             return False
         around = abs(angles[-1] - angles[0]) + abs(angles[1] - angles[0])
-        return bool(angles.min() < -0.1 or abs(around - math.tau) < 0.02)
+        if angles.min() >= -_LIKE and not any(abs(around / turn - 1) < 0.003 for turn in _TURNS):
+            return False
+        self._refuse_others(table[:, 1:])
+        return True
+
+    def _refuse_others(self, table: FloatArray) -> None:
+        """ScanError for columns beside angles that are not all scans of one laser.
+
+        Numbers of some alone are whole, or negative; rays of few scans far and near together.
+        """
+        seen = [c[np.isfinite(c) & (c != 0)] for c in table.T]
+        kinds = {
+            (bool((c == np.round(c)).all()), 2 * (c < 0).sum() > len(c)) for c in seen if c.size
+        }
+        ranks = table.argsort(axis=0).argsort(axis=0)
+        pairs = [np.corrcoef(a, b)[0, 1] for a, b in itertools.pairwise(ranks.T)]
+        if len(kinds) > 1 or (len(pairs) < 3 and min(pairs) < _TOGETHER):
+            found = "column 1 holds angles, and the others no scans that are alike"
+            expected = "a first line of names: angle,range,intensity, or angle,scan0,scan1 ..."
+            raise ScanError(f"{self.name}: {found}; expected {expected}")
 
     def _columns(self, at: int, unit: float, names: Sequence[str] = ()) -> ScanSet:
         """The scans of a table with a column of angles, and a column for each scan."""
@@ -458,7 +464,7 @@ class _Table:
             found = f"columns {', '.join(names[k] for k in scans[:5])} beside angles"
             raise ScanError(f"{self.name}: {found}, expected one that is called range")
         table = table * ([*map(self._metres, names)] or self.length)
-        angles = self._radians(table[:, at], self.turn if unit == 1 else unit)
+        angles = _radians(self.name, table[:, at], self.turn if unit == 1 else unit)
         said = {**self.settings, "angles": angles}
         entries: list[Entry] = [
             (f"{self.name}: column {k + 1}", {**said, "ranges": table[:, k]})
@@ -517,10 +523,12 @@ class _Table:
             found = "other numbers, such as intensities, or marks of thousands are in the ranges"
             expected = "ranges as 1234.5, or a first line of names: range0,intensity0,range1 ..."
             raise ScanError(f"{self.name}: {found}; expected {expected}")
-        front, rear = np.array_split(table, 2, axis=1)
-        if np.all(rear == rear[0, 0]) and np.isfinite(rear[0, 0]) and np.any(front != rear[0, 0]):
-            text = f"half of each line is {rear[0, 0]:g}: if that is no range, name the columns"
-            _LOG.warning("%s: %s", self.name, text, extra={"code": "intensities"})
+        last = table[0, -1]
+        rays = int(np.flatnonzero((table != last).any(axis=0)).max(initial=-1)) + 1
+        if np.isfinite(last) and 0 < rays < (1 - _WHOLE) * table.shape[1]:
+            self.block = f"after {rays} columns each line is {last:g}: if these are no ranges, "
+            self.block += "cut them off, or name the columns range0,range1 ... intensity0 ..."
+            _LOG.warning("%s: %s", self.name, self.block, extra={"code": "intensities"})
 
     def _readings(self, by: Mapping[str, int], roles: Sequence[Role]) -> ScanSet:
         """The scans of a table with a reading a line."""
@@ -531,7 +539,7 @@ class _Table:
         self.bad.check(len(self.rows))
         table = np.array([row for _, row in self.rows])
         turn, length = (roles[by[key]][2] for key in ("angle", "range"))
-        angles = self._radians(table[:, by["angle"]], self.turn if turn == 1 else turn)
+        angles = _radians(self.name, table[:, by["angle"]], self.turn if turn == 1 else turn)
         ranges = table[:, by["range"]] * (self.length if length == 1 else length)
         starts = _starts(table[:, by[which]] if which else None, angles)
         entries = list[Entry]()
@@ -562,6 +570,30 @@ class _Table:
             except (ScanError, IndexError) as error:
                 self.bad.skip(ScanError(str(error)), where if entries and where == self.cut else "")
         return collect(entries, self.name, self.bad)
+
+
+def _radians(name: str, angles: FloatArray, unit: float) -> FloatArray:
+    """Angles in radians; if no `unit` is given, they are of the one in which a turn fits."""
+    known = angles[np.isfinite(angles)]
+    step = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
+    high, low = known.max(initial=-math.inf), known.min(initial=math.inf)
+    span, most = float(high - low), float(max(high, -low))
+    grad = math.isnan(unit)  # degrees in German, gradians in English
+    if not grad and (unit != 1 or (most <= 2 * math.tau and span <= math.tau + 2 * step)):
+        return angles * unit
+    finer = {"degrees": 1.0, "gradians": 10 / 9} if grad else _TIMES
+    seen = (span + step, *[span] * grad)
+    views = [(unit, view / times) for unit, times in finer.items() for view in seen]
+    fits = (unit for unit, view in views if view <= _TURN + _OFF
+            and abs(view - _VIEW * round(view / _VIEW)) <= _OFF)  # fmt: skip
+    likely = "degrees" if grad or span <= _TURN + _OFF + step else ""
+    found = next(fits, likely) if grad or not likely else likely
+    if not found:
+        expected = "radians or degrees; or call their column angle_cdeg or angle_mrad"
+        raise ScanError(f"{name}: angles: span {span:g}, expected {expected}")
+    text = f"the angles span {span:g}, more than a turn in radians: they are taken for {found}"
+    _LOG.warning("%s: %s", name, text, extra={"code": "degrees"})
+    return np.deg2rad(angles / finer.get(found, 1.0))
 
 
 def _is_echo(cells: Sequence[str]) -> bool:
@@ -621,7 +653,10 @@ def _head(
         text = "it is taken for angles in degrees; if it numbers the columns, pass `fov`"
         said = f"{name}: the first line counts up to {first[-1]}: {text}"
         _LOG.warning("%s", said, extra={"code": "degrees"})
-    settings["angles"], above = angles, body.pop(0)[1][: len(first) - len(angles)]
+    settings["angles"], above = (
+        _radians(name, angles, 1.0),
+        body.pop(0)[1][: len(first) - len(angles)],
+    )
     return [*("t" if is_number(cell) else cell.lower() for cell in above), *_ranges(len(angles))]
 
 
@@ -630,7 +665,7 @@ def _ranges(count: int) -> list[str]:
 
 
 def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | None:
-    """Numbers as angles in radians, if they rise or fall evenly and no ranges would; else None."""
+    """Numbers if they are angles: they rise or fall evenly, and no ranges would; else None."""
     if len(row) < _EVEN or not np.isfinite(row).all():
         return None
     even, whole = np.linspace(row[0], row[-1], len(row)), abs(row[-1] - row[0])
@@ -638,9 +673,9 @@ def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | N
     off = np.abs(row - even).max() / max(step, 1e-9)  # of rounded angles up to a half
     if off > (1 if len(row) > _MANY else 0.1) or ("angle_min" in settings and row.min() >= 0):
         return None
-    if whole <= math.tau + 0.1 and np.abs(row).max() <= math.tau + 0.1:
-        return row
-    return np.deg2rad(row) if whole <= 366 and np.abs(row).max() <= 366 else None
+    most, turn = np.abs(row).max(), whole + step
+    gradians = abs(turn / _TIMES["gradians"] - _TURN) <= _OFF and most <= turn
+    return row if gradians or max(whole, most - step) <= _TURN + _OFF else None
 
 
 def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
@@ -658,18 +693,23 @@ def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
     return starts
 
 
-def _check_alike(columns: Sequence[str], name: str) -> None:
-    """ScanError if half of the columns have one name and a number, such as r0, and others do not.
+def _alike(ranges: Sequence[int], names: Sequence[str], name: str) -> list[int]:
+    """Those of the columns that are ranges: all, or those called so beside as many of another name.
 
-    Else a time or a heading would be a range, and all rays after it would have a wrong angle.
+    ScanError if half of them have one name and a number, such as d0, and others do not. Else a time
+    or a heading would be a range, and all rays after it would have a wrong angle.
     """
-    stems = [re.sub(r"[-+.\d]+", "", column) for column in columns]
-    usual, count = max(Counter(stems).items(), key=lambda item: item[1], default=("", 0))
-    others = [column for column, stem in zip(columns, stems, strict=True) if stem != usual]
+    stems = {i: re.sub(r"[-+.\d]+", "", names[i]) for i in ranges}
+    (usual, count), *rest = Counter(stems.values()).most_common() or [("", 0)]
+    called = [i for i in ranges if role_of(stems[i].strip("[]()_ "))[0] == "range"]
+    if len(called) == count > 1 and [n for _, n in rest] == [count]:
+        return called
+    others = [names[i] for i in ranges if stems[i] != usual]
     if count > 1 and count >= len(others) > 0:
-        like = columns[stems.index(usual)]
-        expected = f"the other columns are ranges such as {like}; expected {', '.join(_BESIDE)}"
-        raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected} besides")
+        like = next(names[i] for i in ranges if stems[i] == usual)
+        expected = f"besides ranges such as {like}; expected {', '.join(_BESIDE)}, or names such as"
+        raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected} range0,intensity0")
+    return list(ranges)
 
 
 def is_number(cell: str) -> bool:
