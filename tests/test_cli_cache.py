@@ -47,4 +47,6 @@ def test_what_is_kept_is_shown_and_cleared(folder: Path, tmp_path: Path) -> None
 
 def test_usage_errors_exit_with_2() -> None:
     assert call("cache", "empty").code == 2
-    assert call("cache", "--help").out.startswith("Usage: imgloc cache")
+    about = call("cache", "--help").out
+    assert about.startswith("Usage: imgloc cache")
+    assert about.index("--json ") < about.index("Commands:")

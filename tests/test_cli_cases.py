@@ -166,6 +166,8 @@ def test_the_help_has_groups_and_whole_sentences() -> None:
 
 
 @pytest.mark.parametrize(("name", "text", "hint"), [
+    ("a.log", "@SENS 30-01-99 15:46:02.22\n#ROBOT 12.1 -21.2 91.2\n", "'#LASER ...:' as CSV, and"),
+    ("a.klg", "bytes", "--fov-deg and --range-scale 0.01"),
     ("a.log", "## Player version 3.0.2 \n0001.5 1 6665 laser 00 1 1", "Player"),
     ("a.txt", "time {\n  sec: 12\n  nsec: 5\n}\nangle_min: -1.5\nranges: 1\n", "ros_gz_bridge"),
     ("a.csv", "header {\n  data {\n    key: \"seq\"\n  }\n}\nangle_step: 1\n", "gz topic"),

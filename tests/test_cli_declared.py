@@ -197,6 +197,7 @@ def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(("words", "said"), [
     ("batch curved s.npz --out o --threads 2", "--threads: is no option here; imgloc localize has"),
+    ("atlas curved --topic /scan", "--topic: is no option here; it reads no scans"),
     ("report output --json", "--json: is no option here; this command would not notice it"),
     ("batch curved --out o --force", "--force: is no option here; nothing would be written over"),
     ("localize curved s.npz --cache=", "--cache: got nothing, expected a path"),

@@ -151,6 +151,8 @@ def test_completion_is_installed_and_completes(tmp_path: Path) -> None:
     assert list(tmp_path.glob(".bash_completions/imgloc*"))
     asked = {"_IMGLOC_COMPLETE": "complete_bash", "COMP_WORDS": "imgloc loc", "COMP_CWORD": "1"}
     assert run(**asked).split() == ["localize"]
+    asked |= {"COMP_WORDS": "imgloc localize a.yaml --threads 2 --m", "COMP_CWORD": "5"}
+    assert {"--method", "--memory-budget"} <= {*run(**asked).split()}
 
 
 def test_the_help_of_the_whole_says_what_ctrl_c_ends_with() -> None:

@@ -323,13 +323,16 @@ def _in_order(words: list[str]) -> list[str]:
     ['--threads', '2', '-v', 'localize', 'a.yaml', '--', '-v']
     >>> _in_order(["localize", "a.yaml", "--threads"])
     ['--threads']
+    >>> _in_order(["--cache", "demo", "localize", "a.yaml"]), _in_order(["--cache", "demo"])
+    (['--cache', 'demo', 'localize', 'a.yaml'], ['--cache'])
     """
     end = next((k for k, word in enumerate(words) if word in _ENDS), len(words))
     first, rest, last = list[str](), list[str](), ""
-    for word in words[:end]:
+    commands = [k for k, word in enumerate(words[:end]) if word in {*_COMMANDS, *_GROUPS}]
+    for k, word in enumerate(words[:end]):
         name = word.partition("=")[0]
-        # What an option lacks is neither another option nor the command.
-        if last in _VALUES and (name in (*_SWITCHES, *_VALUES) or (word in _COMMANDS and not rest)):
+        # What an option lacks is neither another option nor the command, of which one is needed.
+        if last in _VALUES and (name in (*_SWITCHES, *_VALUES) or (commands == [k] and not rest)):
             break
         own = name in (*_SWITCHES, *_VALUES) or last in _VALUES
         (first if own else rest).append(word)

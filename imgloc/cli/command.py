@@ -21,7 +21,7 @@ from typer.core import TyperCommand
 
 from imgloc import ranges
 from imgloc.cli.console import LACKS
-from imgloc.cli.typed import as_typed
+from imgloc.cli.typed import Noticing, as_typed
 from imgloc.errors import ConfigError
 from imgloc.ranges import Declared, OneOf, Option, declaration, declared, help_of
 from imgloc.texts import WITH_COMMAS
@@ -42,8 +42,13 @@ GONE: Mapping[str, str] = {
     "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
     "force": "nothing would be written over; imgloc batch has --resume",
     **dict.fromkeys(("rays", "sigma", "outliers", "dropped"),
-                    "imgloc simulate has it, and --scans takes the file that it writes"),
+                    "imgloc simulate has it, and writes a file of scans"),
 }  # fmt: skip
+# How hints about files begin, and the parameters of commands that read some.
+_READ = (
+    ("imgloc convert", "scans", ("scans", "scans_path", "scans_paths", "log", "files")),
+    ("imgloc map", "map", ("maps", "map_path", "maps_dir", "files", "a_path")),
+)
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
@@ -82,15 +87,13 @@ class Without(Only):
         return name not in self.names
 
 
-class Command(TyperCommand):
+class Command(Noticing, TyperCommand):
     """A command whose help has groups, and which knows what else to do for some options."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, the usual options, and the others by what they are about."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        root, noticed = ctx.find_root(), getattr(self.callback, "of_program", ())
-        ours = [p for p in root.command.params if p.opts[0] in noticed] if root is not ctx else []
-        for param in ours:
+        for param in (ours := self.of_program(ctx)):
             param.rich_help_panel = "Program"
         params = [(param, param.get_help_record(ctx)) for param in [*self.get_params(ctx), *ours]]
         shown = [(param, record) for param, record in params if record is not None]
@@ -118,7 +121,10 @@ class Command(TyperCommand):
         """Parse the command line; an option of other commands is a ConfigError with a hint."""
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
         own |= getattr(self.callback, "of_program", set())
-        lacking = {f"--{name}": hint for name, hint in GONE.items() if f"--{name}" not in own}
+        read = {p.opts[0].lstrip("-") for p in self.params}
+        vain = {begins: f"it reads no {what}" for begins, what, by in _READ if read.isdisjoint(by)}
+        lacking = {f"--{name}": vain.get(" ".join(hint.split()[:2]), hint)
+                   for name, hint in GONE.items() if f"--{name}" not in own}  # fmt: skip
         ctx.meta.setdefault(LACKS, {}).update(lacking)
         for word in args[: args.index("--")] if "--" in args else args:
             old = word.partition("=")[0]

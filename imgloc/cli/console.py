@@ -19,7 +19,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from imgloc.cli.typed import as_typed
+from imgloc.cli.typed import Noticing, as_typed
 from imgloc.errors import STDERR, ConfigError, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
@@ -39,8 +39,15 @@ _SECTIONS = {
 }
 
 
-class Subgroup(TyperGroup):
+class Subgroup(Noticing, TyperGroup):
     """Commands below one word."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options, and the commands below."""
+        params = [*self.get_params(ctx), *self.of_program(ctx)]
+        with formatter.section("Options"):
+            formatter.write_dl([r for p in params if (r := p.get_help_record(ctx)) is not None])
+        self.format_commands(ctx, formatter)
 
     def format_commands(self, _: Any, formatter: Any) -> None:
         """Write the commands in groups, each with its first sentence, whole."""

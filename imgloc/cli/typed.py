@@ -1,5 +1,7 @@
 """Words of the command line stay words: whoever declares an option reads its value.
 
+Options of the program are in the help and the completion of the commands that notice them.
+
 Recent versions of Typer let Pydantic read them, whose import takes as long as a whole help text.
 """
 
@@ -24,6 +26,22 @@ class _AsTyped:
         if param.type_descriptor.annotation in _WORDS:
             return value
         return self.make().coerce(value, param=param, ctx=ctx)
+
+
+class Noticing:
+    """A command, or commands below one word, that notices options of the program."""
+
+    def of_program(self, ctx: Any) -> list[Any]:
+        """The options of the program that the command notices."""
+        names = getattr(ctx.command.callback, "of_program", ())
+        return [p for p in ctx.find_root().command.params if p.opts[0] in names and ctx.parent]
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Complete a word, of the options of the program, too."""
+        found: list[Any] = super().shell_complete(ctx, incomplete)  # type: ignore[misc]
+        root, ours = ctx.find_root(), {name for p in self.of_program(ctx) for name in p.opts}
+        more = root.command.shell_complete(root, incomplete) if ours else []
+        return [*found, *(item for item in more if item.value in ours)]
 
 
 def as_typed(params: Sequence[Any]) -> Sequence[Any]:

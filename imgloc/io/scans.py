@@ -245,7 +245,12 @@ _MAGIC = (
     (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*[-+.\w]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
+_BEESOFT = (
+    "a log of Beesoft: write the numbers after '#LASER ...:' as CSV, and pass `fov` and "
+    "`range_scale=0.01`"
+)
 _SPOKEN = (
+    (rb"[@#]SENS\b|#(ROBOT|LASER) [-\d]", _BEESOFT),
     (rb"## Player version", "a log of Player; of its laser lines every other number is a range: "
      "write these as CSV"),
     (rb"(header|time|scan|frame) *:? *\{\s",
@@ -266,6 +271,7 @@ _CONVERTED = {
     ".pkl": "a pickle, which may run anything: np.savez('scans.npz', ranges=..., angles=...)",
     ".h5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
     ".hdf5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
+    ".klg": f"depth images, of which depthimage_to_laserscan makes scans, or {_BEESOFT}",
     ".rawlog": "a log of MRPT: rawlog-edit exports its scans as text",
     ".simplemap": "a map of MRPT with its scans, not a log of them",
     ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
