@@ -237,8 +237,22 @@ def test_a_column_beside_angles_and_ranges_is_no_second_scan(tmp_path: Path) -> 
         text = table([], [list(row) for row in zip(degrees, RANGES[0], others, strict=True)])
         with pytest.raises(ScanError, match=r"column 1 holds angles.*angle,range,intensity, or"):
             loaded(tmp_path, text)
-    text = table([], [[a, r, r + 0.1] for a, r in zip(degrees, RANGES[0], strict=True)])
-    assert len(loaded(tmp_path, text)) == 2
+    smooth = 3 + np.sin(3 * ANGLES)[:, None] + 0.2 * np.cos(ANGLES[:, None] * np.arange(1, 3))
+    other = 3 + np.cos(3 * ANGLES + 1)  # of another place
+    for scans in (smooth.T, [smooth[:, 0], other], [smooth[:, 0], other, RANGES[0]], RANGES):
+        text = table([], np.round(np.column_stack((degrees, *scans)), 3).tolist())
+        assert len(loaded(tmp_path, text)) == len(scans)
+
+
+@pytest.mark.parametrize("kind", ["named", "bare"])
+def test_empty_cells_between_tabs_are_rays(tmp_path: Path, kind: str) -> None:
+    rows = [["", *RANGES[0, 1:]], [*RANGES[1, :-1], ""], [*RANGES[2]]]
+    head = [f"r{k}" for k in range(RAYS)] if kind == "named" else []
+    for scan, row in zip(loaded(tmp_path, VIEW + table(head, rows, "\t")).scans, rows, strict=True):
+        assert len(scan.ranges) == RAYS
+        assert np.count_nonzero(np.isnan(scan.ranges)) == row.count("")
+    indented = table([], [[f"\t{row[0]}", *row[1:]] for row in RANGES.tolist()], "\t")
+    np.testing.assert_array_equal(loaded(tmp_path, VIEW + indented)[1].ranges, RANGES[1])
 
 
 def test_a_turn_of_400_is_in_gradians(tmp_path: Path, caplog, monkeypatch) -> None:

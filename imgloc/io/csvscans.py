@@ -79,7 +79,9 @@ _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
 # How a cell with a list begins.
 _LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-n\])])")
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
-_TOGETHER = 0.5  # rank correlation of two scans, of which most in 7 recorded logs have more
+# Rank correlation of two scans, of which most in 7 recorded logs have more, and how many times as
+# far one sees as another: at most 5.3 times there.
+_TOGETHER, _GREATER = 0.5, 10
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
 # How many times as much ranges differ from the next number as from the one after it if others stand
 # between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole
@@ -442,15 +444,17 @@ class _Table:
     def _refuse_others(self, table: FloatArray) -> None:
         """ScanError for columns beside angles that are not all scans of one laser.
 
-        Numbers of some alone are whole, or negative; rays of few scans far and near together.
+        Those of some alone are whole, or negative; of two or three that do not rise and fall
+        together some are far greater, or a number is not like the next one, as a range is.
         """
-        seen = [c[np.isfinite(c) & (c != 0)] for c in table.T]
-        kinds = {
-            (bool((c == np.round(c)).all()), 2 * (c < 0).sum() > len(c)) for c in seen if c.size
-        }
-        ranks = table.argsort(axis=0).argsort(axis=0)
-        pairs = [np.corrcoef(a, b)[0, 1] for a, b in itertools.pairwise(ranks.T)]
-        if len(kinds) > 1 or (len(pairs) < 3 and min(pairs) < _TOGETHER):
+        seen = [c for c in (c[np.isfinite(c) & (c != 0)] for c in table.T) if len(c) > _EVEN]
+        kinds = {(bool((c == np.round(c)).all()), bool(np.median(c) < 0)) for c in seen}
+        middles = [float(np.median(np.abs(c))) for c in seen] or [1.0]
+        odd = len(kinds) > 1
+        if table.shape[1] < 4 and (np.corrcoef(table.argsort(0).argsort(0).T) < _TOGETHER).any():
+            rough = (np.median(np.abs(np.diff(c))) > _LIKE * np.median(c) for c in seen)
+            odd |= max(middles) > _GREATER * min(middles) or any(rough) or (True, False) in kinds
+        if odd:
             found = "column 1 holds angles, and the others no scans that are alike"
             expected = "a first line of names: angle,range,intensity, or angle,scan0,scan1 ..."
             raise ScanError(f"{self.name}: {found}; expected {expected}")
