@@ -239,7 +239,7 @@ def test_a_column_beside_angles_and_ranges_is_no_second_scan(tmp_path: Path) -> 
             loaded(tmp_path, text)
     smooth = 3 + np.sin(3 * ANGLES)[:, None] + 0.2 * np.cos(ANGLES[:, None] * np.arange(1, 3))
     other = 3 + np.cos(3 * ANGLES + 1)  # of another place
-    for scans in (smooth.T, [smooth[:, 0], other], [smooth[:, 0], other, RANGES[0]], RANGES):
+    for scans in (smooth.T, [smooth[:, 0], other], [smooth[:, 0], other, 6 - other], RANGES):
         text = table([], np.round(np.column_stack((degrees, *scans)), 3).tolist())
         assert len(loaded(tmp_path, text)) == len(scans)
 
