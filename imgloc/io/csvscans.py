@@ -40,12 +40,13 @@ _DEGREE = math.pi / 180
 # By how a word for it begins, the longest beginning first; all others are SI.
 _UNITS = {
     "mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "f": 0.3048, "in": 0.0254,
-    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "gradian": math.pi / 200, "grad": math.nan,
+    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "gradian": math.pi / 200, "grado": _DEGREE,
+    "gradi": _DEGREE, "grad": math.nan,
     "gon": math.pi / 200,
     "mrad": 1e-3, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
 }  # fmt: skip
-_LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?met(?:re|er)s?"
-_TURNED = r"°|grad(?:ians?)?|gon|c?deg(?:rees?)?|m?rad(?:ians?)?"
+_LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?m[eèé]t(?:re|er|ro)s?"
+_TURNED = r"°|grad(?:ians?|[oi]s?)?|gon|c?deg(?:r[eé]*s?)?|m?rad(?:ians?)?"
 _UNIT = re.compile(rf"(?:[\s_.(\[/]|\bin\b|_in_)+({_LENGTH}|{_TURNED}|ms|us|ns|s|sec)[)\]]?$")
 _SAID = re.compile(
     rf"(?:(?:\b|_)(?:units?|in|are)\b[\s:='\"]*|[(\[])(?:({_LENGTH})|({_TURNED}))(?![\w.])"
@@ -77,7 +78,7 @@ _ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a
 _SAMPLE = 10_000  # cells that show how numbers are spelled
 _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
 # How a cell with a list begins.
-_LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-n\])])")
+_LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-nNiI\])])")
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 # Rank correlation of two scans, of which most in 7 recorded logs have more, and how many times as
 # far one sees as another: at most 5.3 times there.
@@ -142,9 +143,12 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     table.length, table.turn = map(_factor, units)
     if _is_echo(body[0][1]):
         return table.echoed()
+    del body[: _begin(body)]
     first, names = body[0][1], cells_of(comment)
     if not any(cell and is_number(cell) for cell in first) or first[0].startswith("%"):
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
+        if {len(row) - len(names) for _, row in body} == {1}:  # as R and pandas write them
+            names.insert(0, "index")
     elif (head := _head(name, body, settings, fov)) is not None:
         names = head
     elif len(names) != len(first) or any(map(is_number, names)):
@@ -229,6 +233,16 @@ def _spoken(body: list[Row]) -> list[Row]:
     return [(places[0], names), *zip(places, rows, strict=True)]
 
 
+def _begin(body: Sequence[Row]) -> int:
+    """Index of the line of names angle and range, below lines about the recording, if any."""
+    for k, (_, cells) in enumerate(body[:_MANY]):
+        if all(map(is_number, cells)):
+            return 0
+        if {"angle", "range"} <= {role_of(cell.strip("\"'"))[0] for cell in cells}:
+            return k
+    return 0
+
+
 def _pairs(cells: Sequence[str]) -> list[tuple[str, str]]:
     return _PAIR.findall(" ".join(cells))
 
@@ -305,6 +319,13 @@ class _Table:
             by["angle"] = by.pop("theta")
         if not ranges and {"angle", "range"} <= by.keys():
             return self._readings(by, roles)
+        if len(names) in (2, 3) and not any(role for role, _, _ in roles):  # in another language
+            self._parse(None, names)
+            if len(self.rows) > _EVEN and (by := self._one_a_line()):
+                units = (_UNIT.search(name) for name in names)
+                roles = [("", 0, _factor(unit[1]) if unit else 1.0) for unit in units]
+                return self._readings(by, roles)
+            self.rows.clear()
         if not ranges and "angle" in by:
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2], names)
@@ -325,6 +346,9 @@ class _Table:
                 return self._readings(by, [("", 0, 1.0)] * len(ranges))
             if self._turns(fov):
                 return self._columns(0, 1.0)
+            if not self.settings and len(ranges) < 4 and len(self.rows) > _MANY:
+                expected = "a first line of their names, such as angle,range,quality"
+                raise ScanError(f"{self.name}: lines of {len(ranges)} numbers, expected {expected}")
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
             by["time"], ranges = times[0], [i for i in ranges if i not in times] or ranges
             roles = [("time", 0, 1.0)] * len(self.rows[0][1])

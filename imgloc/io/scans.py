@@ -242,7 +242,8 @@ _MAGIC = (
     (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD),
     (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
     (rb"\s*(\{|\[\s*[\d{[])", _JSON), (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
-    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*[-+.\w]", _CSV),
+    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*([-+.\w]|[\xc3-\xe9][\x80-\xbf])", _CSV),
+    (rb"(?s).*?\b(angle|theta)\s*[:=]\s*[-\d]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
 _BEESOFT = (
@@ -257,6 +258,13 @@ _SPOKEN = (
      "what gz topic prints; ros_gz_bridge makes a LaserScan of it, or gz topic prints JSON"),
     (rb"\x02?s\w\w LMDscandata",
      "telegrams of a SICK sensor; its ROS driver, sick_scan_xd, makes a LaserScan of each"),
+    (rb"(GD|GS|MD|MS)\d{10}",
+     "answers of a Hokuyo sensor (SCIP); its ROS driver, urg_node, makes a LaserScan of each"),
+    (rb"\[+\s*[-\dinf][^\s,]*\s+[-\dinf]|array\(|[\w.]+ *= *[\[{]|\{\s*[-.\d]|(- -?\.?\w\S*\n){3}",
+     "numbers as a program prints them, without angles: write np.savez('scans.npz', ranges=..., "
+     "angles=..., range_max=...) in Python, or echo the whole topic, not a field of it"),
+    (rb"\s*<[!?\w]", "a page of the web, not the file itself: download that"),
+    (rb"version https://git-lfs", "a pointer of Git LFS to the file: git lfs pull fetches it"),
     (rb"\[timestamp\]\s*\d", "a log of UrgBenri: write the lines below [scan] as CSV, and pass "
      "`fov` and `range_scale=0.001`"),
     (rb"\[\s*\(\s*\d", "a list of Python's, as its rplidar prints: write a first line "
@@ -314,7 +322,7 @@ def _kind_of(path: PathLike) -> _Kind:
                 if re.match(rb"#ROSBAG V1|#ROSRECORD", opened.read(_HEAD)):
                     hint = "rosbag fix old.bag new.bag of ROS 1 makes one of version 2.0"
                     raise ScanError(f"{name}: is a bag of a version before 2.0; {hint}")
-        if kind in (_CARMEN, _CSV) and is_file(file):
+        if kind in (_CARMEN, _CSV, _ECHO) and is_file(file):
             _refuse_spoken(path)
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
