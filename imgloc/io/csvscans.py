@@ -319,13 +319,9 @@ class _Table:
             by["angle"] = by.pop("theta")
         if not ranges and {"angle", "range"} <= by.keys():
             return self._readings(by, roles)
-        if len(names) in (2, 3) and not any(role for role, _, _ in roles):  # in another language
-            self._parse(None, names)
-            if len(self.rows) > _EVEN and (by := self._one_a_line()):
-                units = (_UNIT.search(name) for name in names)
-                roles = [("", 0, _factor(unit[1]) if unit else 1.0) for unit in units]
-                return self._readings(by, roles)
-            self.rows.clear()
+        few = len(names) in (2, 3) and len(self.body) > _EVEN and not any(r for r, _, _ in roles)
+        if (not names or few) and (scans := self._by_contents(names, fov)) is not None:
+            return scans
         if not ranges and "angle" in by:
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2], names)
@@ -339,16 +335,9 @@ class _Table:
                 raise ScanError(f"{self.name}: {found}, expected columns called angle and range")
             ranges = _alike(ranges, names, self.name)
         used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
-        self._parse([*used, *ranges] if names else None, names)
-        if not names:
-            ranges = list(range(len(self.rows[0][1])))
-            if not self.settings and (by := self._one_a_line()):
-                return self._readings(by, [("", 0, 1.0)] * len(ranges))
-            if self._turns(fov):
-                return self._columns(0, 1.0)
-            if not self.settings and len(ranges) < 4 and len(self.rows) > _MANY:
-                expected = "a first line of their names, such as angle,range,quality"
-                raise ScanError(f"{self.name}: lines of {len(ranges)} numbers, expected {expected}")
+        if not self.rows:
+            self._parse([*used, *ranges], names)
+        ranges = ranges or list(range(len(self.rows[0][1])))
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
             by["time"], ranges = times[0], [i for i in ranges if i not in times] or ranges
             roles = [("time", 0, 1.0)] * len(self.rows[0][1])
@@ -379,6 +368,20 @@ class _Table:
             said |= {"ranges": values, "stamp": stamp, **more}
             entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
+
+    def _by_contents(self, names: Sequence[str], fov: float | None) -> ScanSet | None:
+        """The scans of columns without names, or with those of a language that is not known."""
+        self._parse(None, names)
+        count = len(self.rows[0][1])
+        if not self.settings and (by := self._one_a_line()):
+            units = [_UNIT.search(name) for name in names] or [None] * count
+            return self._readings(by, [("", 0, _factor(u[1]) if u else 1.0) for u in units])
+        if not names and self._turns(fov):
+            return self._columns(0, 1.0)
+        if not self.settings and count < 4 and len(self.rows) > _MANY:
+            expected = "a first line of their names, such as angle,range,quality"
+            raise ScanError(f"{self.name}: lines of {count} numbers, expected {expected}")
+        return None
 
     def _beside(self, names: Sequence[str], by: Mapping[str, int], roles: Sequence[Role]) -> Beside:
         """The odometries whose columns are there, by their topics."""
@@ -473,11 +476,11 @@ class _Table:
         """
         seen = [c for c in (c[np.isfinite(c) & (c != 0)] for c in table.T) if len(c) > _EVEN]
         kinds = {(bool((c == np.round(c)).all()), bool(np.median(c) < 0)) for c in seen}
-        middles = [float(np.median(np.abs(c))) for c in seen] or [1.0]
+        middles = [float(np.median(c)) for c in seen] or [1.0]
         odd = len(kinds) > 1
         if table.shape[1] < 4 and (np.corrcoef(table.argsort(0).argsort(0).T) < _TOGETHER).any():
-            rough = (np.median(np.abs(np.diff(c))) > _LIKE * np.median(c) for c in seen)
-            odd |= max(middles) > _GREATER * min(middles) or any(rough) or (True, False) in kinds
+            rough = any(np.median(np.abs(np.diff(c))) > _LIKE * np.median(c) for c in seen)
+            odd |= rough or max(middles) > _GREATER * min(middles) or (True, False) in kinds
         if odd:
             found = "column 1 holds angles, and the others no scans that are alike"
             expected = "a first line of names: angle,range,intensity, or angle,scan0,scan1 ..."
