@@ -203,7 +203,7 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     "clear": (
         "Remove all prepared maps; they are prepared anew when they are needed.",
         "imgloc cache clear",
-    ),
+    )
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
 _SWITCHES = ("--verbose", "-v", "--debug", "--json", "--force", "--no-cache")

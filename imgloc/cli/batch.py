@@ -74,8 +74,7 @@ def batch(
     known: Annotated[Known, Only("heading", "clearance")],
     scans: Path | None = option(None, "Folder tree of files of scans, or one file.", "[SCANS]"),
     job: Annotated[str, OneOf(*JOBS)] = option(
-        "localize",
-        "Command whose work is done with each map and file of scans.",
+        "localize", "Command whose work is done with each map and file of scans."
     ),
     cell: Cell = 0.1,
     range_max: Reach | None = None,

@@ -10,15 +10,11 @@ from imgloc.ranges import option
 
 
 def convert(
-    *,
-    scans_path: opt.ScansPath,
+    *, scans_path: opt.ScansPath,
     out: Path = option(..., "File that is written: .csv, .jsonl, .npz or .mcap.", "OUT"),
-    logs: Logs,
-    chosen: Chosen,
-    mounting: Mounting,
-    memory_budget: opt.MemoryBudget | None = None,
-    force: opt.Force = False,
-) -> None:
+    logs: Logs, chosen: Chosen, mounting: Mounting, memory_budget: opt.MemoryBudget | None = None,
+    force: opt.Force = False
+) -> None:  # fmt: skip
     """Write the scans of any log as CSV, JSON lines, NPZ or MCAP.
 
     Ranges become metres, and readings are those of an upright sensor. Stamps, odometry, known poses

@@ -98,14 +98,9 @@ def localize(
     inputs.check_target(explain, ".html", force=force)
     job = Localize(
         options=replace(search, theta_step=None).stepped(search.theta_step),
-        maps=inputs.map_files(reading),
-        scans=inputs.as_recorded(logs, chosen, mounting),
-        cell=cell,
-        known=known,
-        drawn=drawn,
-        region=region,
-        prior_image=prior_image,
-    )
+        maps=inputs.map_files(reading), scans=inputs.as_recorded(logs, chosen, mounting),
+        cell=cell, known=known, drawn=drawn, region=region, prior_image=prior_image
+    )  # fmt: skip
     desk = inputs.desk_of(**vars(taken), cache=folder)
     desk.grid(map_path, job.maps)  # a map that is not there is told before scans are waited for
     runs = []

@@ -16,18 +16,13 @@ _MOST = 10_000_000  # poses in all
 
 
 def sample(
-    *,
-    map_path: opt.MapPath,
-    scans_path: opt.ScansPath,
+    *, map_path: opt.MapPath, scans_path: opt.ScansPath,
     out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
     search: Annotated[Options, Only("method", "theta_step")],
-    chosen: Annotated[Chosen, Only("index")],
-    taken: opt.Resources,
+    chosen: Annotated[Chosen, Only("index")], taken: opt.Resources,
     count: Count = option(500, "Poses that are drawn for each scan.", "-n", "--count"),
-    seed: Seed = 0,
-    cell: Cell = 0.1,
-    force: opt.Force = False,
-) -> None:
+    seed: Seed = 0, cell: Cell = 0.1, force: opt.Force = False
+) -> None:  # fmt: skip
     """Draw poses from the calibrated posterior p(x | z) of each scan.
 
     A particle filter that has lost the robot puts some of its particles there (sensor resetting).

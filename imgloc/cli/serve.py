@@ -111,12 +111,10 @@ def open(  # noqa: A001 (the command's name)
         there = inputs.desk_of(**vars(taken)).scans(scans_path, how)
         chosen_few = None if len(there.indices) == there.total else tuple(there.indices)
         opened = ScansHeld(
-            there.name,
-            _recorded(there.recorded, mounting),
-            options=_passed(typed, Logs, vars(logs)),
-            indices=chosen_few,
-            taken=_taken(logs, mounting),
-        )
+            there.name, _recorded(there.recorded, mounting),
+            options=_passed(typed, Logs, vars(logs)), indices=chosen_few,
+            taken=_taken(logs, mounting)
+        )  # fmt: skip
     core, begun = _core([map_path], reading, taken, kept, typed)
 
     def show(address: str) -> None:
@@ -162,12 +160,9 @@ def _check_installed() -> None:
 
 
 def _core(
-    given: Sequence[Path],
-    reading: opt.MapImages,
-    taken: opt.Resources,
-    kept: opt.Kept,
-    typed: Typed,
-) -> "tuple[Localizer, Begun]":
+    given: Sequence[Path], reading: opt.MapImages, taken: opt.Resources, kept: opt.Kept,
+    typed: Typed
+) -> "tuple[Localizer, Begun]":  # fmt: skip
     """The maps, which are prepared from now on, and how each is read on a command line."""
     from imgloc.cli import inputs
     from imgloc.live.localizer import Localizer

@@ -10,15 +10,11 @@ from imgloc.ranges import option
 
 
 def simulate(
-    *,
-    map_path: opt.MapPath,
-    out: Path = option(..., "File of the scans that is written.", metavar="NPZ"),
-    sensor: Sensor,
-    count: Count = option(100, "Scans that are simulated.", "-n", "--count"),
-    seed: Seed = 0,
-    memory_budget: opt.MemoryBudget | None = None,
-    force: opt.Force = False,
-) -> None:
+    *, map_path: opt.MapPath,
+    out: Path = option(..., "File of the scans that is written.", metavar="NPZ"), sensor: Sensor,
+    count: Count = option(100, "Scans that are simulated.", "-n", "--count"), seed: Seed = 0,
+    memory_budget: opt.MemoryBudget | None = None, force: opt.Force = False
+) -> None:  # fmt: skip
     """Simulate scans at random free poses of a map.
 
     Writes an NPZ with the keys ranges, angles, range_min, range_max and poses: the true pose of the

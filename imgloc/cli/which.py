@@ -72,10 +72,8 @@ def which(
     maps = inputs.maps_in(maps_dir, reading)
     job = Which(
         maps=inputs.map_files(reading, many=True),
-        scans=inputs.as_recorded(logs, mounting=mounting),
-        known=known,
-        sure=sure,
-    )
+        scans=inputs.as_recorded(logs, mounting=mounting), known=known, sure=sure
+    )  # fmt: skip
     desk = inputs.desk_of(**vars(taken), cache=inputs.kept_in(kept))
     asked = None if scans_path is None else desk.scans(scans_path, job.scans)
     numbers = [] if asked is None else asked.indices
