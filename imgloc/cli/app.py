@@ -17,12 +17,11 @@ from imgloc.doors import COMMANDS, opened
 _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 _EXAMPLES = (
-    "imgloc demo",
-    "imgloc map check office.yaml",
+    "imgloc demo", "imgloc map check office.yaml",
     "imgloc localize office.yaml scans.npz --picture answer.png",
     "imgloc simulate office.yaml -n 100 --out scans.npz",
     "imgloc localize office.yaml scans.npz --json > answers.jsonl",
-)
+)  # fmt: skip
 _CACHED = "Show where prepared maps are kept, how many there are and what they take."
 _CACHES = ("imgloc cache", "imgloc cache --json", "imgloc cache clear")
 _HELP = """Where am I on this map?

@@ -21,7 +21,7 @@ from typer.core import TyperCommand
 
 from imgloc import ranges
 from imgloc.cli.console import LACKS
-from imgloc.cli.typed import Noticing, as_typed
+from imgloc.cli.typed import Noticing
 from imgloc.errors import ConfigError
 from imgloc.ranges import Declared, OneOf, Option, declaration, declared, help_of
 from imgloc.texts import WITH_COMMAS
@@ -45,10 +45,8 @@ GONE: Mapping[str, str] = {
                     "imgloc simulate has it, and writes a file of scans"),
 }  # fmt: skip
 # How hints about files begin, and the parameters of commands that read some.
-_READ = (
-    ("imgloc convert", "scans", ("scans", "scans_path", "scans_paths", "log", "files")),
-    ("imgloc map", "map", ("maps", "map_path", "maps_dir", "files", "a_path")),
-)
+_READ = {"imgloc convert": ("scans", r"scans(_paths?)?|log|files"),
+         "imgloc map": ("map", r"maps?(_path|_dir)?|a_path|files")}  # fmt: skip
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
 USUAL = (
     "--out", "--json", "--picture", "--explain", "--tum", "--start", "--scans-index", "--near",
@@ -113,16 +111,13 @@ class Command(Noticing, TyperCommand):
                 with formatter.section(title):
                     formatter.write_dl(records)
 
-    def get_params(self, ctx: Any) -> Any:
-        """The options, and that for help."""
-        return as_typed(super().get_params(ctx))
-
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; an option of other commands is a ConfigError with a hint."""
         own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
         own |= getattr(self.callback, "of_program", set())
-        read = {p.opts[0].lstrip("-") for p in self.params}
-        vain = {begins: f"it reads no {what}" for begins, what, by in _READ if read.isdisjoint(by)}
+        read = [p.opts[0].lstrip("-") for p in self.params]
+        vain = {begins: f"it reads no {what}" for begins, (what, names) in _READ.items()
+                if not any(re.fullmatch(names, name) for name in read)}  # fmt: skip
         lacking = {f"--{name}": vain.get(" ".join(hint.split()[:2]), hint)
                    for name, hint in GONE.items() if f"--{name}" not in own}  # fmt: skip
         ctx.meta.setdefault(LACKS, {}).update(lacking)

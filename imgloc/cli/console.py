@@ -19,7 +19,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from imgloc.cli.typed import Noticing, as_typed
+from imgloc.cli.typed import Noticing
 from imgloc.errors import STDERR, ConfigError, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
@@ -32,11 +32,10 @@ LACKS = "imgloc.lacks"
 
 _SECTIONS = {
     "First steps": ("demo", "inspect", "localize", "track", "open", "convert"),
-    "Robots and services": ("node", "serve"),
-    "Folders": ("batch", "report", "export", "which"),
+    "Robots and services": ("node", "serve"), "Folders": ("batch", "report", "export", "which"),
     "Maps": ("map", "atlas", "simulate", "sample", "cache"),
     "Measure": ("evaluate", "calibrate"),
-}
+}  # fmt: skip
 
 
 class Subgroup(Noticing, TyperGroup):
@@ -71,10 +70,6 @@ class Subgroup(Noticing, TyperGroup):
                     f"{word}: expected a command before a file: imgloc {wanted} {path}"
                 )
         return super().resolve_command(ctx, args)
-
-    def get_params(self, ctx: Any) -> Any:
-        """The options of the group itself, and that for help."""
-        return as_typed(super().get_params(ctx))
 
 
 def _sentence(text: str) -> str:

@@ -31,6 +31,10 @@ class _AsTyped:
 class Noticing:
     """A command, or commands below one word, that notices options of the program."""
 
+    def get_params(self, ctx: Any) -> Any:
+        """The options of its own, and that for help."""
+        return as_typed(super().get_params(ctx))  # type: ignore[misc]
+
     def of_program(self, ctx: Any) -> list[Any]:
         """The options of the program that the command notices."""
         names = getattr(ctx.command.callback, "of_program", ())

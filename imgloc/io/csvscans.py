@@ -41,8 +41,7 @@ _DEGREE = math.pi / 180
 _UNITS = {
     "mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "f": 0.3048, "in": 0.0254,
     "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "gradian": math.pi / 200, "grado": _DEGREE,
-    "gradi": _DEGREE, "grad": math.nan,
-    "gon": math.pi / 200,
+    "gradi": _DEGREE, "grad": math.nan, "gon": math.pi / 200,
     "mrad": 1e-3, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
 }  # fmt: skip
 _LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?m[eèé]t(?:re|er|ro)s?"
@@ -52,10 +51,8 @@ _SAID = re.compile(
     rf"(?:(?:\b|_)(?:units?|in|are)\b[\s:='\"]*|[(\[])(?:({_LENGTH})|({_TURNED}))(?![\w.])"
 )
 # Finer units of angles, and how many are a degree; views of sensors are multiples of some degrees.
-_TIMES = {
-    "gradians": 10 / 9, "tenths of a degree": 10, "hundredths of a degree": 100,
-    "milliradians": 1000 * _DEGREE,
-}  # fmt: skip
+_TIMES = {"gradians": 10 / 9, "tenths of a degree": 10, "hundredths of a degree": 100,
+          "milliradians": 1000 * _DEGREE}  # fmt: skip
 _TURN, _VIEW, _OFF = 360, 30, 2  # degrees
 _TURNS = math.tau, _TURN, _TURN * _TIMES["gradians"]
 _ENDS = re.compile(r"\b(start|end)_angle$")
@@ -143,7 +140,6 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     table.length, table.turn = map(_factor, units)
     if _is_echo(body[0][1]):
         return table.echoed()
-    del body[: _begin(body)]
     first, names = body[0][1], cells_of(comment)
     if not any(cell and is_number(cell) for cell in first) or first[0].startswith("%"):
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
@@ -221,8 +217,10 @@ def _spoken(body: list[Row]) -> list[Row]:
     """
     roles = [{role_of(key)[0] for key, _ in _pairs(cells)} for _, cells in body[:_MANY]]
     there = (k for k, found in enumerate(roles) if "range" in found and found & {"angle", "theta"})
-    if (begin := next(there, -1)) < 0:
-        return body
+    if (begin := next(there, -1)) < 0:  # notes about the recording may come before the names
+        sets = ({role_of(cell.strip("\"'"))[0] for cell in cells} for _, cells in body[:_MANY])
+        head = next((k for k, found in enumerate(sets) if {"angle", "range"} <= found), 0)
+        return body[head * all(not all(map(is_number, row)) for _, row in body[:head]) :]
     said = [dict(_pairs(cells)) for _, cells in body[begin:]]
     names = [*said[0]]
     rows = [[*one.values()] if [*one] == names else [] for one in said]
@@ -231,16 +229,6 @@ def _spoken(body: list[Row]) -> list[Row]:
         rows = [["-" + r[0], r[1] if r[1].strip("0.") else "inf"] if r else [] for r in rows]
     places = [where for where, _ in body[begin:]]
     return [(places[0], names), *zip(places, rows, strict=True)]
-
-
-def _begin(body: Sequence[Row]) -> int:
-    """Index of the line of names angle and range, below lines about the recording, if any."""
-    for k, (_, cells) in enumerate(body[:_MANY]):
-        if all(map(is_number, cells)):
-            return 0
-        if {"angle", "range"} <= {role_of(cell.strip("\"'"))[0] for cell in cells}:
-            return k
-    return 0
 
 
 def _pairs(cells: Sequence[str]) -> list[tuple[str, str]]:

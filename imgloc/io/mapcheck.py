@@ -203,27 +203,17 @@ def _warnings(
     known = n["free"] and n["occupied"] and not (trap or swapped) and lacks_unknown(grid)
     drawn = known and looks_drawn(grid)
     found = {
-        "frame": (frame := other_frame(used)),
-        "unknown-key": unknown_keys,
+        "frame": (frame := other_frame(used)), "unknown-key": unknown_keys,
         "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
-        "yaw": used.origin.theta,
-        "huge": sums.size > _HUGE_CELLS,
-        "centimetres": used.resolution >= 1,
-        "coarse": used.resolution > 0.25,
-        "lossy": image.lossy,
-        "transparent": clear,
-        "semantics": n["differ"],
-        "colour": tinted,
-        "grey-205": trap,
-        "no-walls": not n["occupied"],
-        "mostly-occupied": n["occupied"] > 0.5 * sums.size,
-        "swapped": swapped,
-        "plan": drawn,
-        "no-unknown": known and not drawn,
-        "scale": n["free"] and not 2 < area < 4e6,
+        "yaw": used.origin.theta, "huge": sums.size > _HUGE_CELLS,
+        "centimetres": used.resolution >= 1, "coarse": used.resolution > 0.25,
+        "lossy": image.lossy, "transparent": clear, "semantics": n["differ"], "colour": tinted,
+        "grey-205": trap, "no-walls": not n["occupied"],
+        "mostly-occupied": n["occupied"] > 0.5 * sums.size, "swapped": swapped, "plan": drawn,
+        "no-unknown": known and not drawn, "scale": n["free"] and not 2 < area < 4e6,
         "no-free": not n["free"],
         "many-greys": n["levels"] > _MANY_GREYS and used.mode == "trinary",
-    }
+    }  # fmt: skip
     values = {
         **vars(used), **n, "height": height, "width": width,
         "frame": frame, "keys": ", ".join(unknown_keys),

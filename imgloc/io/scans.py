@@ -246,10 +246,7 @@ _MAGIC = (
     (rb"(?s).*?\b(angle|theta)\s*[:=]\s*[-\d]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
-_BEESOFT = (
-    "a log of Beesoft: write the numbers after '#LASER ...:' as CSV, and pass `fov` and "
-    "`range_scale=0.01`"
-)
+_BEESOFT = "Beesoft's log: write what follows '#LASER ...:' as CSV; pass `fov`, `range_scale=0.01`"
 _SPOKEN = (
     (rb"[@#]SENS\b|#(ROBOT|LASER) [-\d]", _BEESOFT),
     (rb"## Player version", "a log of Player; of its laser lines every other number is a range: "

@@ -29,9 +29,8 @@ MAX_LINE = 64 * MAX_RAYS
 _WRAPS = ("msg", "message", "data", "value")  # keys of what a message came in
 _SNAKE = re.compile(r"(?<=[a-z])[A-Z]")
 NAMES = {
-    "start_angle": "angle_min", "end_angle": "angle_max",  # of Foxglove
+    "start_angle": "angle_min", "end_angle": "angle_max", "distances": "ranges",  # of Foxglove
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
-    "distances": "ranges",
 }  # fmt: skip
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
 _NO = r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(?:ind|qnan)\d*"
