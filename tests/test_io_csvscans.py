@@ -365,7 +365,7 @@ def test_what_people_write_for_nothing(tmp_path: Path) -> None:
     with pytest.raises(ScanError, match="got 'far', expected a number; nan, or nothing, stands"):
         loaded(tmp_path, f"{VIEW}1,far,3\n")
     text = table([], [[a, r, a + r] for a, r in zip(ANGLES, ANGLES, strict=True)] * 2)
-    with pytest.raises(ScanError, match="lines of 3 numbers, expected a first line of their names"):
+    with pytest.raises(ScanError, match="lines of 3 numbers, expected a first line of names: a"):
         loaded(tmp_path, text)
     broken = 'angle_min,angle_max,ranges\n-1,1,"[1. 2.\n  3.]"\n-1,1,"[1. 2.\n 5.]"\n'
     for first in ("1", "inf", "None"):

@@ -367,8 +367,8 @@ class _Table:
         if not names and self._turns(fov):
             return self._columns(0, 1.0)
         if not self.settings and count < 4 and len(self.rows) > _MANY:
-            expected = "a first line of their names, such as angle,range,quality"
-            raise ScanError(f"{self.name}: lines of {count} numbers, expected {expected}")
+            expected = "expected a first line of names: angle,range,quality"
+            raise ScanError(f"{self.name}: lines of {count} numbers, {expected}")
         return None
 
     def _beside(self, names: Sequence[str], by: Mapping[str, int], roles: Sequence[Role]) -> Beside:
@@ -470,9 +470,8 @@ class _Table:
             rough = any(np.median(np.abs(np.diff(c))) > _LIKE * np.median(c) for c in seen)
             odd |= rough or max(middles) > _GREATER * min(middles) or (True, False) in kinds
         if odd:
-            found = "column 1 holds angles, and the others no scans that are alike"
             expected = "a first line of names: angle,range,intensity, or angle,scan0,scan1 ..."
-            raise ScanError(f"{self.name}: {found}; expected {expected}")
+            raise ScanError(f"{self.name}: column 1 holds angles, others no scans: give {expected}")
 
     def _columns(self, at: int, unit: float, names: Sequence[str] = ()) -> ScanSet:
         """The scans of a table with a column of angles, and a column for each scan."""
@@ -513,8 +512,7 @@ class _Table:
         """ScanError for one range a line, and for a first column that counts those that follow."""
         if len(ranges) == 1 and len(self.rows) > 1:
             found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
-            how = "its ranges with commas between, or two columns called angle and range"
-            raise ScanError(f"{self.name}: {found}, {how}")
+            raise ScanError(f"{self.name}: {found}, or columns called angle and range")
         if not names and len(ranges) > _MANY:
             self._refuse_between(np.array([row[ranges] for _, row in self.rows[:_MANY]]))
         count, *others = {float(row[ranges[0]]) for _, row in self.rows}
@@ -669,9 +667,10 @@ def _head(
     if angles is None:
         return None
     if numbered:
-        text = "it is taken for angles in degrees; if it numbers the columns, pass `fov`"
-        said = f"{name}: the first line counts up to {first[-1]}: {text}"
-        _LOG.warning("%s", said, extra={"code": "degrees"})
+        text = "is taken for angles in degrees; if it numbers the columns, pass `fov`"
+        _LOG.warning(
+            "%s: 0 to %s: %s", name, first[-1], f"line 1 {text}", extra={"code": "degrees"}
+        )
     settings["angles"], above = (
         _radians(name, angles, 1.0),
         body.pop(0)[1][: len(first) - len(angles)],

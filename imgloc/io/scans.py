@@ -274,16 +274,15 @@ _CONVERTED = {
     ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
     **{f".{form}": f"pandas.read_{form}{_TO_JSON}" for form in ("parquet", "feather")},
     ".pkl": "a pickle, which may run anything: np.savez('scans.npz', ranges=..., angles=...)",
-    ".h5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
-    ".hdf5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
+    **dict.fromkeys((".h5", ".hdf5"), "np.savez('a.npz', ranges=..., angles=...) of h5py's arrays"),
     ".klg": f"depth images, of which depthimage_to_laserscan makes scans, or {_BEESOFT}",
     ".rawlog": "a log of MRPT: rawlog-edit exports its scans as text",
     ".simplemap": "a map of MRPT with its scans, not a log of them",
     ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
     ".bag.active": "a bag that was not closed: rosbag reindex",
-    ".ply": "a cloud of points: save it as .pcd, of which `height` takes a slice",
-    ".las": "a cloud of points: save it as .pcd, of which `height` takes a slice",
+    **dict.fromkeys((".ply", ".las"), "a cloud: save it as .pcd, of which `height` takes a slice"),
     ".xlsx": "a workbook: save the sheet as CSV",
+    **dict.fromkeys((".zip", ".tar", ".tgz", ".zst", ".zstd", ".xz", ".bz2"), "packed: unpack it"),
 }
 
 

@@ -247,17 +247,14 @@ def lines_of(path: PathLike, most: int = MAX_LINE, *, other: str = "") -> Lines:
     text = _LISTS.sub(lambda cell: cell[0].replace("\n", " "), text) if other else text
     text = text if "\n" in text else text.replace("\r", "\n")
     lines = text.split("\n")
-    cells = other and not all(line[:1] in "\t#" for line in lines if line.strip())
-    numbered = check_lines(lines, display(path), most, " \r" if cells else None)
+    numbered = check_lines(lines, display(path), most)
+    if other and not all(lines[i - 1][:1] in "\t#" for i, _ in numbered):  # tabs with empty cells
+        numbered = [(i, lines[i - 1].strip(" \r")) for i, _ in numbered]
     return Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
 
 
-def check_lines(
-    lines: Sequence[str], name: str, most: int = MAX_LINE, off: str | None = None
-) -> list[tuple[int, str]]:
+def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[tuple[int, str]]:
     """The lines that are not blank, stripped, with their numbers from 1; ScanError for a long one.
-
-    By default all blanks are stripped `off`; tabs are also between cells, which may be empty.
 
     Each is looked at before it is cut into words, which take ten times as much memory.
     """
@@ -265,7 +262,7 @@ def check_lines(
         if len(line) > most:
             found = f"{len(line):,} characters"
             raise ScanError(f"{name}: line {i}: {found}, expected at most {most:,} for a scan")
-    return [(i, line.strip(off)) for i, line in enumerate(lines, 1) if line.strip()]
+    return [(i, s) for i, line in enumerate(lines, 1) if (s := line.strip())]
 
 
 def number_of(text: str, where: str) -> float:
