@@ -667,14 +667,11 @@ def _head(
     if angles is None:
         return None
     if numbered:
-        text = "is taken for angles in degrees; if it numbers the columns, pass `fov`"
-        _LOG.warning(
-            "%s: 0 to %s: %s", name, first[-1], f"line 1 {text}", extra={"code": "degrees"}
-        )
-    settings["angles"], above = (
-        _radians(name, angles, 1.0),
-        body.pop(0)[1][: len(first) - len(angles)],
-    )
+        text = f"line 1, up to {first[-1]}, is taken for angles; "
+        text += "if it numbers the columns, pass `fov`"
+        _LOG.warning("%s: %s", name, text, extra={"code": "degrees"})
+    settings["angles"] = _radians(name, angles, 1.0)
+    above = body.pop(0)[1][: len(first) - len(angles)]
     return [*("t" if is_number(cell) else cell.lower() for cell in above), *_ranges(len(angles))]
 
 
