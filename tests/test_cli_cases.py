@@ -166,8 +166,13 @@ def test_the_help_has_groups_and_whole_sentences() -> None:
 
 
 @pytest.mark.parametrize(("name", "text", "hint"), [
-    ("a.log", "@SENS 30-01-99 15:46:02.22\n#ROBOT 12.1 -21.2 91.2\n", "'#LASER ...:' as CSV, and"),
-    ("a.klg", "bytes", "--fov-deg and --range-scale 0.01"),
+    ("a.log", "@SENS 30-01-99 15:46:02\n#ROBOT 12.1 -21.2 91.2\n", "follows '#LASER ...:' as CSV"),
+    ("a.txt", "[8.18 7.95\n 7.78 7.2]\n", "without angles: write np.savez('scans.npz'"),
+    ("a.txt", "- 8.18\n- .inf\n- 7.78\n- 7\n", "or echo the whole topic, not a field of it"),
+    ("a.csv", "<!DOCTYPE html><html>", "a page of the web, not the file itself"),
+    ("a.csv", "version https://git-lfs.github.com/spec/v1\noid sha256:4d\n", "git lfs pull"),
+    ("a.db3.zstd", "bytes", "packed: unpack it"),
+    ("a.klg", "bytes", "--fov-deg, --range-scale 0.01"),
     ("a.log", "## Player version 3.0.2 \n0001.5 1 6665 laser 00 1 1", "Player"),
     ("a.txt", "time {\n  sec: 12\n  nsec: 5\n}\nangle_min: -1.5\nranges: 1\n", "ros_gz_bridge"),
     ("a.csv", "header {\n  data {\n    key: \"seq\"\n  }\n}\nangle_step: 1\n", "gz topic"),

@@ -201,7 +201,7 @@ def test_unknown_cells_that_count_as_free_are_said(
     said = f"{20 * pixels.shape[1]:,} cells of grey 205, map_saver's unknown, count as free"
     for name, err in by_all(path, log, tmp_path).items():
         assert err.count(said) == 1, (name, err)
-        assert "0.196 keeps them unknown" in err
+        assert "0.196 keep them unknown" in err
     assert said in call("map", "check", path).out
     assert said not in call("localize", path, log, "--scans-index", 0, "--free-thresh", 0.196).err
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)

@@ -344,12 +344,15 @@ def test_points_are_no_scan(tmp_path: Path, head: list[str]) -> None:
     "angle: {a:.3f}, distance: {r}, intensity: 1008", "stamp:1,angle:{a:.3f},distance(m):{r}",
     "Zeitstempel;Winkel_Grad;Entfernung\n7;{a:.3f};{r}", "ángulo,distancia\n{a:.3f},{r}",
     "bearing (grad),r\n{g:.3f},{r}", "sep=;\ntheta;rho\n{t:.5f};{r}", "// degrees\n{a:.3f},{r},",
+    "hoek;afstand\n{a:.3f};{r}", "ángulo [grados],d\n{a:.3f},{r}", "phi_deg r\n7 {a:.3f} {r}",
+    "sensor: A1\nfov: 180\nangle_deg,range\n{a:.3f},{r}", "[INFO] angle: {a:.3f}, distance: {r}",
 ])  # fmt: skip
 def test_a_reading_a_line_of_other_people_is_read(tmp_path: Path, form: str) -> None:
     *head, line = form.split("\n")
     rows = [line.format(a=math.degrees(t), g=200 * t / math.pi, t=t, r=r)
             for t, r in zip(ANGLES, RANGES[0], strict=True)]  # fmt: skip
-    (scan,) = loaded(tmp_path, "\n".join([*head, *rows, ""])).scans
+    (tmp_path / "a.txt").write_text("\n".join([*head, *rows, ""]))
+    (scan,) = load_scans(tmp_path / "a.txt").scans
     np.testing.assert_allclose(scan.angles, ANGLES, atol=1e-5)
     np.testing.assert_allclose(scan.ranges, RANGES[0])
 
@@ -361,8 +364,13 @@ def test_what_people_write_for_nothing(tmp_path: Path) -> None:
     assert np.isposinf(loaded(tmp_path, f"{VIEW}1,2,∞,1.#INF\n")[0].ranges[2:]).all()
     with pytest.raises(ScanError, match="got 'far', expected a number; nan, or nothing, stands"):
         loaded(tmp_path, f"{VIEW}1,far,3\n")
+    text = table([], [[a, r, a + r] for a, r in zip(ANGLES, ANGLES, strict=True)] * 2)
+    with pytest.raises(ScanError, match="lines of 3 numbers, expected a first line of names: a"):
+        loaded(tmp_path, text)
     broken = 'angle_min,angle_max,ranges\n-1,1,"[1. 2.\n  3.]"\n-1,1,"[1. 2.\n 5.]"\n'
-    assert loaded(tmp_path, broken)[1].ranges.tolist() == [1, 2, 5]
+    for first in ("1", "inf", "None"):
+        scans = loaded(tmp_path, broken.replace("[1.", f"[{first}"))
+        assert scans[1].ranges.tolist()[1:] == [2, 5]
     with pytest.raises(ScanError, match="printed shortened"):
         loaded(tmp_path, broken.replace("2.", "..."))
 

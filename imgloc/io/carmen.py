@@ -371,9 +371,8 @@ def _assemble(
             "range_max": message.range_max if message.range_max > 0 else reach,
             "stamp": float(stamps[i]) if timed else None,
             "odom": None if odom is None else odom[i],
-            "pose": None if poses is None else poses[i],
-            "mount": mount,
-        }
+            "pose": None if poses is None else poses[i], "mount": mount,
+        }  # fmt: skip
         entries.append((message.where, entry))
     return collect(entries, name)
 

@@ -40,21 +40,19 @@ _DEGREE = math.pi / 180
 # By how a word for it begins, the longest beginning first; all others are SI.
 _UNITS = {
     "mm": 1e-3, "milli": 1e-3, "cm": 1e-2, "centi": 1e-2, "ft": 0.3048, "f": 0.3048, "in": 0.0254,
-    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "gradian": math.pi / 200, "grad": math.nan,
-    "gon": math.pi / 200,
+    "cdeg": _DEGREE / 100, "deg": _DEGREE, "°": _DEGREE, "gradian": math.pi / 200, "grado": _DEGREE,
+    "gradi": _DEGREE, "grad": math.nan, "gon": math.pi / 200,
     "mrad": 1e-3, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
 }  # fmt: skip
-_LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?met(?:re|er)s?"
-_TURNED = r"°|grad(?:ians?)?|gon|c?deg(?:rees?)?|m?rad(?:ians?)?"
+_LENGTH = r"mm|cm|m|ft|feet|foot|in|inch(?:es)?|(?:milli|centi)?m[eèé]t(?:re|er|ro)s?"
+_TURNED = r"°|grad(?:ians?|[oi]s?)?|gon|c?deg(?:r[eé]*s?)?|m?rad(?:ians?)?"
 _UNIT = re.compile(rf"(?:[\s_.(\[/]|\bin\b|_in_)+({_LENGTH}|{_TURNED}|ms|us|ns|s|sec)[)\]]?$")
 _SAID = re.compile(
     rf"(?:(?:\b|_)(?:units?|in|are)\b[\s:='\"]*|[(\[])(?:({_LENGTH})|({_TURNED}))(?![\w.])"
 )
 # Finer units of angles, and how many are a degree; views of sensors are multiples of some degrees.
-_TIMES = {
-    "gradians": 10 / 9, "tenths of a degree": 10, "hundredths of a degree": 100,
-    "milliradians": 1000 * _DEGREE,
-}  # fmt: skip
+_TIMES = {"gradians": 10 / 9, "tenths of a degree": 10, "hundredths of a degree": 100,
+          "milliradians": 1000 * _DEGREE}  # fmt: skip
 _TURN, _VIEW, _OFF = 360, 30, 2  # degrees
 _TURNS = math.tau, _TURN, _TURN * _TIMES["gradians"]
 _ENDS = re.compile(r"\b(start|end)_angle$")
@@ -77,7 +75,7 @@ _ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a
 _SAMPLE = 10_000  # cells that show how numbers are spelled
 _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
 # How a cell with a list begins.
-_LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-n\])])")
+_LIST = re.compile(r"^(array\('?\w?'?,?\s*)?[\[(]+(?=[\s\d.+\-nNiI\])])")
 _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and roughly so in none
 # Rank correlation of two scans, of which most in 7 recorded logs have more, and how many times as
 # far one sees as another: at most 5.3 times there.
@@ -145,6 +143,8 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     first, names = body[0][1], cells_of(comment)
     if not any(cell and is_number(cell) for cell in first) or first[0].startswith("%"):
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
+        if {len(row) - len(names) for _, row in body} == {1}:  # as R and pandas write them
+            names.insert(0, "index")
     elif (head := _head(name, body, settings, fov)) is not None:
         names = head
     elif len(names) != len(first) or any(map(is_number, names)):
@@ -217,8 +217,10 @@ def _spoken(body: list[Row]) -> list[Row]:
     """
     roles = [{role_of(key)[0] for key, _ in _pairs(cells)} for _, cells in body[:_MANY]]
     there = (k for k, found in enumerate(roles) if "range" in found and found & {"angle", "theta"})
-    if (begin := next(there, -1)) < 0:
-        return body
+    if (begin := next(there, -1)) < 0:  # notes about the recording may come before the names
+        sets = ({role_of(cell.strip("\"'"))[0] for cell in cells} for _, cells in body[:_MANY])
+        head = next((k for k, found in enumerate(sets) if {"angle", "range"} <= found), 0)
+        return body[head * all(not all(map(is_number, row)) for _, row in body[:head]) :]
     said = [dict(_pairs(cells)) for _, cells in body[begin:]]
     names = [*said[0]]
     rows = [[*one.values()] if [*one] == names else [] for one in said]
@@ -305,6 +307,9 @@ class _Table:
             by["angle"] = by.pop("theta")
         if not ranges and {"angle", "range"} <= by.keys():
             return self._readings(by, roles)
+        few = len(names) in (2, 3) and len(self.body) > _EVEN and not any(r for r, _, _ in roles)
+        if (not names or few) and (scans := self._by_contents(names, fov)) is not None:
+            return scans
         if not ranges and "angle" in by:
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2], names)
@@ -318,13 +323,9 @@ class _Table:
                 raise ScanError(f"{self.name}: {found}, expected columns called angle and range")
             ranges = _alike(ranges, names, self.name)
         used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
-        self._parse([*used, *ranges] if names else None, names)
-        if not names:
-            ranges = list(range(len(self.rows[0][1])))
-            if not self.settings and (by := self._one_a_line()):
-                return self._readings(by, [("", 0, 1.0)] * len(ranges))
-            if self._turns(fov):
-                return self._columns(0, 1.0)
+        if not self.rows:
+            self._parse([*used, *ranges], names)
+        ranges = ranges or list(range(len(self.rows[0][1])))
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
             by["time"], ranges = times[0], [i for i in ranges if i not in times] or ranges
             roles = [("time", 0, 1.0)] * len(self.rows[0][1])
@@ -355,6 +356,20 @@ class _Table:
             said |= {"ranges": values, "stamp": stamp, **more}
             entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
+
+    def _by_contents(self, names: Sequence[str], fov: float | None) -> ScanSet | None:
+        """The scans of columns without names, or with those of a language that is not known."""
+        self._parse(None, names)
+        count = len(self.rows[0][1])
+        if not self.settings and (by := self._one_a_line()):
+            units = [_UNIT.search(name) for name in names] or [None] * count
+            return self._readings(by, [("", 0, _factor(u[1]) if u else 1.0) for u in units])
+        if not names and self._turns(fov):
+            return self._columns(0, 1.0)
+        if not self.settings and count < 4 and len(self.rows) > _MANY:
+            expected = "expected a first line of names: angle,range,quality"
+            raise ScanError(f"{self.name}: lines of {count} numbers, {expected}")
+        return None
 
     def _beside(self, names: Sequence[str], by: Mapping[str, int], roles: Sequence[Role]) -> Beside:
         """The odometries whose columns are there, by their topics."""
@@ -449,15 +464,14 @@ class _Table:
         """
         seen = [c for c in (c[np.isfinite(c) & (c != 0)] for c in table.T) if len(c) > _EVEN]
         kinds = {(bool((c == np.round(c)).all()), bool(np.median(c) < 0)) for c in seen}
-        middles = [float(np.median(np.abs(c))) for c in seen] or [1.0]
+        middles = [float(np.median(c)) for c in seen] or [1.0]
         odd = len(kinds) > 1
         if table.shape[1] < 4 and (np.corrcoef(table.argsort(0).argsort(0).T) < _TOGETHER).any():
-            rough = (np.median(np.abs(np.diff(c))) > _LIKE * np.median(c) for c in seen)
-            odd |= max(middles) > _GREATER * min(middles) or any(rough) or (True, False) in kinds
+            rough = any(np.median(np.abs(np.diff(c))) > _LIKE * np.median(c) for c in seen)
+            odd |= rough or max(middles) > _GREATER * min(middles) or (True, False) in kinds
         if odd:
-            found = "column 1 holds angles, and the others no scans that are alike"
             expected = "a first line of names: angle,range,intensity, or angle,scan0,scan1 ..."
-            raise ScanError(f"{self.name}: {found}; expected {expected}")
+            raise ScanError(f"{self.name}: column 1 holds angles, others no scans: give {expected}")
 
     def _columns(self, at: int, unit: float, names: Sequence[str] = ()) -> ScanSet:
         """The scans of a table with a column of angles, and a column for each scan."""
@@ -498,8 +512,7 @@ class _Table:
         """ScanError for one range a line, and for a first column that counts those that follow."""
         if len(ranges) == 1 and len(self.rows) > 1:
             found = f"{len(self.rows):,} lines of one range each, expected a scan a line"
-            how = "its ranges with commas between, or two columns called angle and range"
-            raise ScanError(f"{self.name}: {found}, {how}")
+            raise ScanError(f"{self.name}: {found}, or columns called angle and range")
         if not names and len(ranges) > _MANY:
             self._refuse_between(np.array([row[ranges] for _, row in self.rows[:_MANY]]))
         count, *others = {float(row[ranges[0]]) for _, row in self.rows}
@@ -654,13 +667,11 @@ def _head(
     if angles is None:
         return None
     if numbered:
-        text = "it is taken for angles in degrees; if it numbers the columns, pass `fov`"
-        said = f"{name}: the first line counts up to {first[-1]}: {text}"
-        _LOG.warning("%s", said, extra={"code": "degrees"})
-    settings["angles"], above = (
-        _radians(name, angles, 1.0),
-        body.pop(0)[1][: len(first) - len(angles)],
-    )
+        text = f"line 1, up to {first[-1]}, is taken for angles; "
+        text += "if it numbers the columns, pass `fov`"
+        _LOG.warning("%s: %s", name, text, extra={"code": "degrees"})
+    settings["angles"] = _radians(name, angles, 1.0)
+    above = body.pop(0)[1][: len(first) - len(angles)]
     return [*("t" if is_number(cell) else cell.lower() for cell in above), *_ranges(len(angles))]
 
 

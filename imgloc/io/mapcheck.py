@@ -164,20 +164,14 @@ def check_map(path: PathLike, **reading: "Unpack[Reading]") -> MapReport:
     del parts
     as_used = {key: value for key, value in vars(settings).items() if key not in ("image", "yaml")}
     return MapReport(
-        path=display(path),
-        image=display(settings.image),
-        kind=image.kind,
-        width=grid.info.width,
-        height=grid.info.height,
-        **as_used,
-        shares=shares,
+        path=display(path), image=display(settings.image), kind=image.kind, width=grid.info.width,
+        height=grid.info.height, **as_used, shares=shares,
         movable=None if grid.movable is None else float(grid.movable.mean()),
         free_parts=tuple(float(size) * grid.resolution**2 for size in sizes[:_MOST]),
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
-        grey_levels=len(levels),
-        semantics_differ=differ,
-        warnings=_warnings(settings, image, sums, grid, counts),
-    )
+        grey_levels=len(levels), semantics_differ=differ,
+        warnings=_warnings(settings, image, sums, grid, counts)
+    )  # fmt: skip
 
 
 def check_bytes(size: ImageSize) -> int:
@@ -209,27 +203,17 @@ def _warnings(
     known = n["free"] and n["occupied"] and not (trap or swapped) and lacks_unknown(grid)
     drawn = known and looks_drawn(grid)
     found = {
-        "frame": (frame := other_frame(used)),
-        "unknown-key": unknown_keys,
+        "frame": (frame := other_frame(used)), "unknown-key": unknown_keys,
         "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
-        "yaw": used.origin.theta,
-        "huge": sums.size > _HUGE_CELLS,
-        "centimetres": used.resolution >= 1,
-        "coarse": used.resolution > 0.25,
-        "lossy": image.lossy,
-        "transparent": clear,
-        "semantics": n["differ"],
-        "colour": tinted,
-        "grey-205": trap,
-        "no-walls": not n["occupied"],
-        "mostly-occupied": n["occupied"] > 0.5 * sums.size,
-        "swapped": swapped,
-        "plan": drawn,
-        "no-unknown": known and not drawn,
-        "scale": n["free"] and not 2 < area < 4e6,
+        "yaw": used.origin.theta, "huge": sums.size > _HUGE_CELLS,
+        "centimetres": used.resolution >= 1, "coarse": used.resolution > 0.25,
+        "lossy": image.lossy, "transparent": clear, "semantics": n["differ"], "colour": tinted,
+        "grey-205": trap, "no-walls": not n["occupied"],
+        "mostly-occupied": n["occupied"] > 0.5 * sums.size, "swapped": swapped, "plan": drawn,
+        "no-unknown": known and not drawn, "scale": n["free"] and not 2 < area < 4e6,
         "no-free": not n["free"],
         "many-greys": n["levels"] > _MANY_GREYS and used.mode == "trinary",
-    }
+    }  # fmt: skip
     values = {
         **vars(used), **n, "height": height, "width": width,
         "frame": frame, "keys": ", ".join(unknown_keys),

@@ -146,7 +146,7 @@ def load_map(
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     grid = grid_of(image, settings)
     if trap := unknown_as_free(image, settings, grid):
-        said = GREY_205.format(trap=trap, free_thresh=settings.free_thresh)
+        said = GREY_205.format(trap=trap, **vars(settings))
         _LOG.warning("%s: %s", display(path), said)
     return grid
 
@@ -226,8 +226,8 @@ def _plainly(value: object) -> str:
 
 
 GREY_205 = (
-    "{trap:,} cells of grey 205, map_saver's unknown, count as free because free_thresh is "
-    "{free_thresh:g}; 0.196 keeps them unknown"
+    "{trap:,} cells of grey 205, map_saver's unknown, count as free because of mode {mode} and "
+    "free_thresh {free_thresh:g}; trinary and 0.196 keep them unknown"
 )
 _MUCH, _PEAK = 200, 10  # one cell in so many; so many times as often as the greys beside it
 
@@ -323,7 +323,7 @@ def require_usable(grid: OccupancyGrid, name: str) -> None:
     """Raise MapError if `grid` has no occupied or no free cell: nothing can be localized."""
     for what, found in (("occupied", grid.occupied.any()), ("free", grid.free.any())):
         if not found:
-            hint = "look at the greys with 'imgloc map check', and at negate and the thresholds"
+            hint = "look at the greys with 'imgloc map check', and at mode, negate, the thresholds"
             none = f"none of its {grid.occupied.size:,} cells is {what}"
             raise MapError(f"{name}: {none}, expected walls and free space; {hint}")
 
@@ -368,14 +368,11 @@ def yaml_text(settings: MapSettings, folder: Path) -> str:
     """The YAML, for a file in a folder, by which map_server reads an image with these settings."""
     said = {
         "image": Path(os.path.relpath(settings.image, folder)).as_posix(),
-        "resolution": settings.resolution,
-        "origin": list(settings.origin),
-        "negate": int(settings.negate),
-        "occupied_thresh": settings.occupied_thresh,
-        "free_thresh": settings.free_thresh,
-        "mode": settings.mode,
+        "resolution": settings.resolution, "origin": list(settings.origin),
+        "negate": int(settings.negate), "occupied_thresh": settings.occupied_thresh,
+        "free_thresh": settings.free_thresh, "mode": settings.mode,
         **({} if settings.semantics == SEMANTICS[0] else {"semantics": settings.semantics}),
-    }
+    }  # fmt: skip
     if settings.yaml is not None and settings.yaml.movable is not None:
         said["movable"] = settings.yaml.movable
     return str(yaml.safe_dump(said, sort_keys=False, allow_unicode=True))
@@ -447,7 +444,7 @@ def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool)
     used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
     for key, expected in _NEEDED.items():
         if key not in used:
-            raise MapError(f"{name}: {key}: missing, expected {expected}")
+            raise MapError(f"{name}: {key}: missing, expected {expected}; or pass `{key}`")
     low, high, origin = used["free_thresh"], used["occupied_thresh"], used["origin"]
     if not 0 <= low < high <= 1:
         found = f"{name}: free_thresh {low} and occupied_thresh {high}"
@@ -455,12 +452,10 @@ def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool)
         expected = "expected 0 <= free_thresh < occupied_thresh <= 1"
         raise error(f"{found}, {expected}; or pass `free_thresh` and `occupied_thresh`")
     return MapSettings(
-        image=written.image,
-        resolution=float(used["resolution"]),
+        image=written.image, resolution=float(used["resolution"]),
         origin=origin if isinstance(origin, Pose2D) else Pose2D(*map(float, origin)),
-        yaml=None if bare else written,
-        **{key: used[key] for key in _DEFAULTS},
-    )
+        yaml=None if bare else written, **{key: used[key] for key in _DEFAULTS}
+    )  # fmt: skip
 
 
 def _given(reading: Reading) -> dict[str, Any]:

@@ -130,6 +130,7 @@ def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYa
         if said[key] is None and key not in given:
             if key not in values:
                 hint = "; map_saver_cli saves a grid as image and YAML" * ("data" in values)
+                hint += f", got {', '.join(map(str, values))}"[:80] * (key == "image" and not hint)
                 raise MapError(f"{name}: {key}: missing, expected {expected}{hint}")
             shown = repr(values[key])
             shown = shown if len(shown) <= 60 else shown[:57] + "..."

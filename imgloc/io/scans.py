@@ -242,13 +242,11 @@ _MAGIC = (
     (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD),
     (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
     (rb"\s*(\{|\[\s*[\d{[])", _JSON), (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
-    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*[-+.\w]", _CSV),
+    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*([-+.\w]|[\xc3-\xe9][\x80-\xbf])", _CSV),
+    (rb"(?s).*?\b(angle|theta)\s*[:=]\s*[-\d]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
-_BEESOFT = (
-    "a log of Beesoft: write the numbers after '#LASER ...:' as CSV, and pass `fov` and "
-    "`range_scale=0.01`"
-)
+_BEESOFT = "Beesoft's log: write what follows '#LASER ...:' as CSV; pass `fov`, `range_scale=0.01`"
 _SPOKEN = (
     (rb"[@#]SENS\b|#(ROBOT|LASER) [-\d]", _BEESOFT),
     (rb"## Player version", "a log of Player; of its laser lines every other number is a range: "
@@ -257,6 +255,13 @@ _SPOKEN = (
      "what gz topic prints; ros_gz_bridge makes a LaserScan of it, or gz topic prints JSON"),
     (rb"\x02?s\w\w LMDscandata",
      "telegrams of a SICK sensor; its ROS driver, sick_scan_xd, makes a LaserScan of each"),
+    (rb"(GD|GS|MD|MS)\d{10}",
+     "answers of a Hokuyo sensor (SCIP); its ROS driver, urg_node, makes a LaserScan of each"),
+    (rb"\[+\s*[-\dinf][^\s,]*\s+[-\dinf]|array\(|[\w.]+ *= *[\[{]|\{\s*[-.\d]|(- -?\.?\w\S*\n){3}",
+     "numbers as a program prints them, without angles: write np.savez('scans.npz', ranges=..., "
+     "angles=..., range_max=...) in Python, or echo the whole topic, not a field of it"),
+    (rb"\s*<[!?\w]", "a page of the web, not the file itself: download that"),
+    (rb"version https://git-lfs", "a pointer of Git LFS to the file: git lfs pull fetches it"),
     (rb"\[timestamp\]\s*\d", "a log of UrgBenri: write the lines below [scan] as CSV, and pass "
      "`fov` and `range_scale=0.001`"),
     (rb"\[\s*\(\s*\d", "a list of Python's, as its rplidar prints: write a first line "
@@ -269,16 +274,15 @@ _CONVERTED = {
     ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
     **{f".{form}": f"pandas.read_{form}{_TO_JSON}" for form in ("parquet", "feather")},
     ".pkl": "a pickle, which may run anything: np.savez('scans.npz', ranges=..., angles=...)",
-    ".h5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
-    ".hdf5": "in Python, np.savez('scans.npz', ranges=..., angles=...) of h5py's arrays",
+    **dict.fromkeys((".h5", ".hdf5"), "np.savez('a.npz', ranges=..., angles=...) of h5py's arrays"),
     ".klg": f"depth images, of which depthimage_to_laserscan makes scans, or {_BEESOFT}",
     ".rawlog": "a log of MRPT: rawlog-edit exports its scans as text",
     ".simplemap": "a map of MRPT with its scans, not a log of them",
     ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
     ".bag.active": "a bag that was not closed: rosbag reindex",
-    ".ply": "a cloud of points: save it as .pcd, of which `height` takes a slice",
-    ".las": "a cloud of points: save it as .pcd, of which `height` takes a slice",
+    **dict.fromkeys((".ply", ".las"), "a cloud: save it as .pcd, of which `height` takes a slice"),
     ".xlsx": "a workbook: save the sheet as CSV",
+    **dict.fromkeys((".zip", ".tar", ".tgz", ".zst", ".zstd", ".xz", ".bz2"), "packed: unpack it"),
 }
 
 
@@ -314,7 +318,7 @@ def _kind_of(path: PathLike) -> _Kind:
                 if re.match(rb"#ROSBAG V1|#ROSRECORD", opened.read(_HEAD)):
                     hint = "rosbag fix old.bag new.bag of ROS 1 makes one of version 2.0"
                     raise ScanError(f"{name}: is a bag of a version before 2.0; {hint}")
-        if kind in (_CARMEN, _CSV) and is_file(file):
+        if kind in (_CARMEN, _CSV, _ECHO) and is_file(file):
             _refuse_spoken(path)
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")

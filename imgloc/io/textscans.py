@@ -29,7 +29,7 @@ MAX_LINE = 64 * MAX_RAYS
 _WRAPS = ("msg", "message", "data", "value")  # keys of what a message came in
 _SNAKE = re.compile(r"(?<=[a-z])[A-Z]")
 NAMES = {
-    "start_angle": "angle_min", "end_angle": "angle_max",  # of Foxglove
+    "start_angle": "angle_min", "end_angle": "angle_max", "distances": "ranges",  # of Foxglove
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
@@ -247,8 +247,9 @@ def lines_of(path: PathLike, most: int = MAX_LINE, *, other: str = "") -> Lines:
     text = _LISTS.sub(lambda cell: cell[0].replace("\n", " "), text) if other else text
     text = text if "\n" in text else text.replace("\r", "\n")
     lines = text.split("\n")
-    cells = other and not all(line[:1] in "\t#" for line in lines if line.strip())
-    numbered = check_lines(lines, display(path), most, " \r" if cells else None)
+    numbered = check_lines(lines, display(path), most)
+    if other and not all(lines[i - 1][:1] in "\t#" for i, _ in numbered):  # tabs with empty cells
+        numbered = [(i, lines[i - 1].strip(" \r")) for i, _ in numbered]
     return Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
 
 

@@ -175,12 +175,9 @@ def run_batch(
     found = list(find_items(maps, scans, job, out=out) if items is None else items)
     digest = job.digest
     about = {
-        "imgloc": __version__,
-        "job": job.name,
-        "maps": display(maps),
-        "scans": None if scans is None else display(scans),
-        "parameters": {digest: job.parameters},
-    }
+        "imgloc": __version__, "job": job.name, "maps": display(maps),
+        "scans": None if scans is None else display(scans), "parameters": {digest: job.parameters},
+    }  # fmt: skip
     new, warned = 0, set[str]()
     with Results(out, about, resume=resume or retry_failed) as results:
         todo = remaining(found, job, results.known, retry_failed=retry_failed)
@@ -336,17 +333,10 @@ def _drawn(item: Item, answer: Answer, means: Means) -> dict[str, bytes]:
 def _row(item: Item, job: Job) -> Row:
     hashes, digest = hashes_of(item), job.digest
     return {
-        "map": item.map,
-        "scans": item.scans,
-        "status": "ok",
-        "code": None,
-        "message": None,
-        "answers": [],
-        "key": key_of(hashes, digest),
-        "hashes": {**hashes, "parameters": digest},
-        "version": __version__,
-        "cost": {},
-    }
+        "map": item.map, "scans": item.scans, "status": "ok", "code": None, "message": None,
+        "answers": [], "key": key_of(hashes, digest), "hashes": {**hashes, "parameters": digest},
+        "version": __version__, "cost": {},
+    }  # fmt: skip
 
 
 def _lost(item: Item, job: Job, error: BaseException) -> Row:
