@@ -40,13 +40,16 @@ def folder(tmp_path: Path, simulated: Path) -> Path:
     return tmp_path / "here"
 
 
-@pytest.mark.parametrize(("command", "budget", "expected"), [
-    (SIMULATE, "10M", ["simulating 2 scans of 181 rays on 1300 x 1600 cells", "fewer scans"]),
-    (LOCALIZE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
-    ([*LOCALIZE, "--method", "beam"], "100M", ["beam on 130 x 160 cells", "--theta-step-deg"]),
-    (SAMPLE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
-    ([*SAMPLE, "--method", "cbml"], "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("command", "budget", "expected"),
+    [
+        (SIMULATE, "10M", ["simulating 2 scans of 181 rays on 1300 x 1600 cells", "fewer scans"]),
+        (LOCALIZE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
+        ([*LOCALIZE, "--method", "beam"], "100M", ["beam on 130 x 160 cells", "--theta-step-deg"]),
+        (SAMPLE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
+        ([*SAMPLE, "--method", "cbml"], "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger"]),
+    ],
+)
 def test_over_budget_is_refused_with_sizes(
     command: list[object], budget: str, expected: list[str], folder: Path
 ) -> None:

@@ -45,10 +45,13 @@ def advice(run_err: str) -> list[str]:
     return [line.removeprefix("imgloc: ") for line in run_err.splitlines() if "fit" in line]
 
 
-@pytest.mark.parametrize(("shared", "said"), [
-    ({"scale": 0.6, "depth": 0.01}, "shared.scale is 0.6"),
-    ({"scale": 1.06, "bent": 0.02}, "shared.scale is 1.06"),  # unique, with another scale
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("shared", "said"),
+    [
+        ({"scale": 0.6, "depth": 0.01}, "shared.scale is 0.6"),
+        ({"scale": 1.06, "bent": 0.02}, "shared.scale is 1.06"),  # unique, with another scale
+    ],
+)
 def test_the_calibration_is_named_not_the_map(
     place: Path, shared: dict[str, object], said: str
 ) -> None:
@@ -96,15 +99,18 @@ def test_a_followed_robot_names_the_calibration(shared: Path, tmp_path: Path) ->
     assert f"map.calibration.json, whose shared.scale is 1.3. {MENDS}" in hint
 
 
-@pytest.mark.parametrize(("key", "value", "expected"), [
-    ("scale", 7, "shared.scale: got 7.0, expected a factor, 0.5 to 2"),
-    ("thinner", 1.7, "shared.thinner: got 1.7, expected a whole number"),
-    ("thinner", 101, "shared.thinner: got 101, expected a whole number, cells, 0 to 100"),
-    ("depth", float("nan"), "shared.depth: got nan, expected"),
-    ("depth", 0.2, "shared.depth: got 0.2, expected metres, -0.15 to 0.15"),
-    ("bent", -1, "shared.bent: got -1.0, expected metres, 0 to 1"),
-    ("usual", 1e6, "shared.usual: got 1000000.0, expected nats, 0 to 10"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("scale", 7, "shared.scale: got 7.0, expected a factor, 0.5 to 2"),
+        ("thinner", 1.7, "shared.thinner: got 1.7, expected a whole number"),
+        ("thinner", 101, "shared.thinner: got 101, expected a whole number, cells, 0 to 100"),
+        ("depth", float("nan"), "shared.depth: got nan, expected"),
+        ("depth", 0.2, "shared.depth: got 0.2, expected metres, -0.15 to 0.15"),
+        ("bent", -1, "shared.bent: got -1.0, expected metres, 0 to 1"),
+        ("usual", 1e6, "shared.usual: got 1000000.0, expected nats, 0 to 10"),
+    ],
+)
 def test_a_value_that_cannot_be_is_named_with_its_file(
     place: Path, key: str, value: float, expected: str
 ) -> None:

@@ -93,13 +93,16 @@ def test_no_option_has_two_meanings(words: str) -> None:
     assert len(names) == len(set(names))
 
 
-@pytest.mark.parametrize(("kind", "name", "text", "value"), [
-    (Options, "top", "3", 3),
-    (Options, "method", "ght-v", "ght-v"),
-    (Sensor, "fov", "180", 3.141592653589793),
-    (Known, "heading", "90deg", (1.5707963267948966, 0.8)),
-    (Reading, "resolution", "0.05", 0.05),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "name", "text", "value"),
+    [
+        (Options, "top", "3", 3),
+        (Options, "method", "ght-v", "ght-v"),
+        (Sensor, "fov", "180", 3.141592653589793),
+        (Known, "heading", "90deg", (1.5707963267948966, 0.8)),
+        (Reading, "resolution", "0.05", 0.05),
+    ],
+)
 def test_a_text_becomes_the_value_of_a_field(
     kind: Any, name: str, text: str, value: object
 ) -> None:
@@ -107,17 +110,20 @@ def test_a_text_becomes_the_value_of_a_field(
     assert value_of(field, text) == value
 
 
-@pytest.mark.parametrize(("kind", "name", "text", "says"), [
-    (Options, "top", "0", "--top: got 0, expected a whole number, 1 or more"),
-    (Options, "top", "x", "--top: got 'x', expected a whole number, 1 or more"),
-    (Options, "method", "cmbl", "--method: got 'cmbl', expected one of fused, cbml"),
-    (Sensor, "fov", "361", "--fov-deg: got 361, expected degrees, 0.01 to 360"),
-    (Sensor, "sigma", "nan", "--sigma: got nan, expected metres, 0 to 10"),
-    (Sensor, "mount", "1,2", "--sensor: got '1,2', expected 3 numbers with commas between"),
-    (Known, "near", "1,2,90", "--near: got an angle of 90, expected radians, -6.2832 to"),
-    (Known, "near", "1,2,0,0", "--near: got R 0, expected metres, 0.01 to 1e+06"),
-    (Known, "near", "1,2,0,1,3.3", "--near: got T 3.3, expected radians, 0.001 to 3.2"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "name", "text", "says"),
+    [
+        (Options, "top", "0", "--top: got 0, expected a whole number, 1 or more"),
+        (Options, "top", "x", "--top: got 'x', expected a whole number, 1 or more"),
+        (Options, "method", "cmbl", "--method: got 'cmbl', expected one of fused, cbml"),
+        (Sensor, "fov", "361", "--fov-deg: got 361, expected degrees, 0.01 to 360"),
+        (Sensor, "sigma", "nan", "--sigma: got nan, expected metres, 0 to 10"),
+        (Sensor, "mount", "1,2", "--sensor: got '1,2', expected 3 numbers with commas between"),
+        (Known, "near", "1,2,90", "--near: got an angle of 90, expected radians, -6.2832 to"),
+        (Known, "near", "1,2,0,0", "--near: got R 0, expected metres, 0.01 to 1e+06"),
+        (Known, "near", "1,2,0,1,3.3", "--near: got T 3.3, expected radians, 0.001 to 3.2"),
+    ],
+)
 def test_a_text_that_is_no_value_is_refused_by_the_option(
     kind: Any, name: str, text: str, says: str
 ) -> None:

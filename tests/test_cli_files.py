@@ -25,16 +25,19 @@ def content(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
-@pytest.mark.parametrize("words", [
-    "map show curved.yaml --out curved.png",
-    "map show curved.png --resolution 0.1 --out curved.png",
-    "localize curved.yaml scan.npz --picture curved.png",
-    "localize curved.yaml scan.npz --picture mask.png --region mask.png",
-    "localize curved.yaml several.npz --picture many.png --region many-0001.png",
-    "atlas curved.yaml --step 5 --headings 1 --out curved.png",
-    "atlas curved.yaml --step 5 --headings 1 --out ./../office/curved.png",
-    "sample curved.yaml scan.csv --out scan.csv",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "words",
+    [
+        "map show curved.yaml --out curved.png",
+        "map show curved.png --resolution 0.1 --out curved.png",
+        "localize curved.yaml scan.npz --picture curved.png",
+        "localize curved.yaml scan.npz --picture mask.png --region mask.png",
+        "localize curved.yaml several.npz --picture many.png --region many-0001.png",
+        "atlas curved.yaml --step 5 --headings 1 --out curved.png",
+        "atlas curved.yaml --step 5 --headings 1 --out ./../office/curved.png",
+        "sample curved.yaml scan.csv --out scan.csv",
+    ],
+)
 def test_no_input_is_overwritten(
     words: str, office: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -295,13 +295,16 @@ METADATA = """rosbag2_bagfile_information:
 """
 
 
-@pytest.mark.parametrize(("name", "cause"), [
-    ("metadata.yaml", "nested too deeply"),
-    ("metadata.yaml", "is a pipe or device"),
-    ("a.db3", "is a pipe or device"),
-    ("a.db3", "no such file"),
-    ("recording", "unpacks to too much"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        ("metadata.yaml", "nested too deeply"),
+        ("metadata.yaml", "is a pipe or device"),
+        ("a.db3", "is a pipe or device"),
+        ("a.db3", "no such file"),
+        ("recording", "unpacks to too much"),
+    ],
+)
 def test_recordings_that_want_to_harm_are_one_line(name: str, cause: str, tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="reads bags: the extra ros")
     folder = tmp_path / "recording"

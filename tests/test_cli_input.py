@@ -197,21 +197,24 @@ def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
     assert [a["index"] for a in rows((found / "results.jsonl").read_text())[0]["answers"]] == [1, 5]
 
 
-@pytest.mark.parametrize(("words", "expected"), [
-    (("localize", "--scans-index", "3-5"), "got '3-5', expected indices from 0, ranges A:B"),
-    (("localize", "--scans-index", "1:4:0"), "got '1:4:0', expected indices from 0"),
-    (("localize", "--scans-index", "4,12"), "got 12, expected 0 to 11: a.npz has 12 scans"),
-    (
-        ("localize", "--scans-index", "12:"),
-        "got 12:, expected A:B with A below B and A at most 11: a",
-    ),
-    (
-        ("localize", "--scans-index", "5:2"),
-        "got 5:2, expected A:B with A below B and A at most 11: a",
-    ),
-    (("which", "--maps-index", "3"), "3: expected a name that ends in .npz"),
-    (("evaluate", "--scans-index", "3"), "--scans-index: is for evaluate --scans, not"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("localize", "--scans-index", "3-5"), "got '3-5', expected indices from 0, ranges A:B"),
+        (("localize", "--scans-index", "1:4:0"), "got '1:4:0', expected indices from 0"),
+        (("localize", "--scans-index", "4,12"), "got 12, expected 0 to 11: a.npz has 12 scans"),
+        (
+            ("localize", "--scans-index", "12:"),
+            "got 12:, expected A:B with A below B and A at most 11: a",
+        ),
+        (
+            ("localize", "--scans-index", "5:2"),
+            "got 5:2, expected A:B with A below B and A at most 11: a",
+        ),
+        (("which", "--maps-index", "3"), "3: expected a name that ends in .npz"),
+        (("evaluate", "--scans-index", "3"), "--scans-index: is for evaluate --scans, not"),
+    ],
+)
 def test_what_is_no_choice_of_scans_is_said(
     words: tuple[str, ...], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -122,11 +122,14 @@ def test_scans_without_odometry_are_left_out_and_counted(lines: list[str]) -> No
     assert "1 of 3 scans have no odometry" in run.err
 
 
-@pytest.mark.parametrize(("words", "text", "code", "expected"), [
-    ((), '{"ranges": [1], \n', 4, "standard input: line 1: not valid JSON"),
-    ((), '{"ranges": [1]}\n', 4, "standard input: line 1"),
-    (("--follow",), "{}\n", 2, "--follow: is of a file that grows"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "text", "code", "expected"),
+    [
+        ((), '{"ranges": [1], \n', 4, "standard input: line 1: not valid JSON"),
+        ((), '{"ranges": [1]}\n', 4, "standard input: line 1"),
+        (("--follow",), "{}\n", 2, "--follow: is of a file that grows"),
+    ],
+)
 def test_refuses(words: tuple[str, ...], text: str, code: int, expected: str) -> None:
     run = followed(text, *words)
     run.ends(code, expected, out="")

@@ -104,11 +104,14 @@ def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
     assert fan("--at", "4.2,5.4") != fan()
 
 
-@pytest.mark.parametrize(("words", "expected"), [
-    ("--at 1,1", "--at: only --what visibility"),
-    ("--at 500,500 --what visibility", "--at: 500,500 is not on the map"),
-    ("--at 0,0 --what visibility", "not on the map"),  # left of its origin
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("--at 1,1", "--at: only --what visibility"),
+        ("--at 500,500 --what visibility", "--at: 500,500 is not on the map"),
+        ("--at 0,0 --what visibility", "not on the map"),  # left of its origin
+    ],
+)
 def test_show_refuses_what_would_be_ignored(
     words: str, expected: str, grey: Path, tmp_path: Path
 ) -> None:

@@ -35,12 +35,15 @@ def changed(path: Path, name: str, **more: object) -> Path:
     return target
 
 
-@pytest.mark.parametrize(("factor", "reach", "hint"), [
-    (1000.0, 30_000.0, "half of the ranges.*are they millimetres. Try --range-scale 0.001"),
-    (1000.0, 30.0, "half of the ranges.*are they millimetres. Try --range-scale 0.001"),
-    (100.0, 3000.0, "half of the ranges.*are they centimetres. Try --range-scale 0.01"),
-    (0.5, 15.0, "multiplied by 2: is the map's resolution right. .*or --resolution 0.05"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("factor", "reach", "hint"),
+    [
+        (1000.0, 30_000.0, "half of the ranges.*are they millimetres. Try --range-scale 0.001"),
+        (1000.0, 30.0, "half of the ranges.*are they millimetres. Try --range-scale 0.001"),
+        (100.0, 3000.0, "half of the ranges.*are they centimetres. Try --range-scale 0.01"),
+        (0.5, 15.0, "multiplied by 2: is the map's resolution right. .*or --resolution 0.05"),
+    ],
+)
 def test_units_are_mended(scans: Path, factor: float, reach: float, hint: str) -> None:
     path = changed(scans, "b.npz", ranges=lambda a: factor * a["ranges"], range_max=reach)
     run = call("localize", "curved", path, OFF).ends(0)

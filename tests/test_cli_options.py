@@ -71,22 +71,25 @@ def test_what_may_be_wrong_weighs_and_makes_nothing_unique(scans: Path, tmp_path
     assert best["x"] > 6 or best["y"] > 4
 
 
-@pytest.mark.parametrize(("options", "code", "expected"), [
-    (("--near", "1,2,0,3", "--sd", "0.5,10deg"), 2, "--sd: expected with --near, of x, y"),
-    (("--near", "1,2,0", "--sd", "0.5"), 2, "--sd: got '0.5', expected 2 numbers"),
-    (("--prior-image", MAPS / "curved.png"), 2, "expected 200 x 140"),
-    (("--near", "1,2,3,-4"), 2, "--near: got R -4"),
-    (("--near", "1,2,3", "--heading", "1"), 2, "given twice"),
-    (("--near", "-50,-50,0"), 2, "leaves no cell"),
-    (("--clearance", "50"), 2, "leaves no cell"),
-    (("--region", MAPS / "curved.png"), 2, "expected 200 x 140"),
-    (("--region", MAPS / "none.png"), 3, "none.png"),
-    (("--origin", "0,0,45"), 2, "are these degrees?"),
-    (("--memory-budget", "lots"), 2, "number of bytes"),
-    (("--memory-budget", "8M"), 2, "budget is 8 MiB"),
-    (("--time-budget", "1", "--method", "cbml"), 2, "time budget"),
-    (("--cache", ".", "--no-cache"), 2, "one of them"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "code", "expected"),
+    [
+        (("--near", "1,2,0,3", "--sd", "0.5,10deg"), 2, "--sd: expected with --near, of x, y"),
+        (("--near", "1,2,0", "--sd", "0.5"), 2, "--sd: got '0.5', expected 2 numbers"),
+        (("--prior-image", MAPS / "curved.png"), 2, "expected 200 x 140"),
+        (("--near", "1,2,3,-4"), 2, "--near: got R -4"),
+        (("--near", "1,2,3", "--heading", "1"), 2, "given twice"),
+        (("--near", "-50,-50,0"), 2, "leaves no cell"),
+        (("--clearance", "50"), 2, "leaves no cell"),
+        (("--region", MAPS / "curved.png"), 2, "expected 200 x 140"),
+        (("--region", MAPS / "none.png"), 3, "none.png"),
+        (("--origin", "0,0,45"), 2, "are these degrees?"),
+        (("--memory-budget", "lots"), 2, "number of bytes"),
+        (("--memory-budget", "8M"), 2, "budget is 8 MiB"),
+        (("--time-budget", "1", "--method", "cbml"), 2, "time budget"),
+        (("--cache", ".", "--no-cache"), 2, "one of them"),
+    ],
+)
 def test_refuses_what_cannot_be_meant(
     scans: Path, options: tuple[object, ...], code: int, expected: str
 ) -> None:

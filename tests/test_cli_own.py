@@ -150,19 +150,22 @@ def test_a_picture_that_is_a_link_does_not_come_into_the_page(folder: Path) -> N
 HUGE = 10**400
 
 
-@pytest.mark.parametrize(("edit", "said"), [
-    ({"map": []}, "map: got [], expected a text"),
-    ({"answers": 5}, "answers: got 5, expected a list"),
-    ({"answers": [None]}, "answers.0: got None, expected an object"),
-    ({"answers": [{}]}, "answers.0: no index"),
-    ({"cost": None}, "cost: got None"),
-    ({"cost": {"seconds": HUGE}}, "cost.seconds: got 1000"),
-    ({"cost": {"seconds": 1 << 64}}, "cost.seconds: got 18446744073709551616"),
-    ({"status": []}, "status: got [], expected one of crashed, failed, ok"),
-    ({"more": {"a": float("inf")}}, ""),
-    ({"more": "\ud800"}, "more: got '\\ud800'"),
-    ({"\x1b[31m": [HUGE]}, r"\x1b[31m.0: got 1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"map": []}, "map: got [], expected a text"),
+        ({"answers": 5}, "answers: got 5, expected a list"),
+        ({"answers": [None]}, "answers.0: got None, expected an object"),
+        ({"answers": [{}]}, "answers.0: no index"),
+        ({"cost": None}, "cost: got None"),
+        ({"cost": {"seconds": HUGE}}, "cost.seconds: got 1000"),
+        ({"cost": {"seconds": 1 << 64}}, "cost.seconds: got 18446744073709551616"),
+        ({"status": []}, "status: got [], expected one of crashed, failed, ok"),
+        ({"more": {"a": float("inf")}}, ""),
+        ({"more": "\ud800"}, "more: got '\\ud800'"),
+        ({"\x1b[31m": [HUGE]}, r"\x1b[31m.0: got 1"),
+    ],
+)
 def test_a_row_that_was_edited(folder: Path, edit: dict, said: str) -> None:
     out = folder / "out"
     change(out / "results.jsonl", lambda row: row.update(edit))
@@ -197,12 +200,15 @@ def test_a_floor_that_is_null_and_a_missing_cost_are_no_defects(folder: Path) ->
     assert call("batch", *words(folder), "--resume").code == 0
 
 
-@pytest.mark.parametrize(("edit", "said"), [
-    ({"maps": 5}, "maps: got 5, expected a text"),
-    ({"parameters": {"a": 5}}, "parameters.a: got 5, expected an object"),
-    ({"job": []}, "job: got [], expected a text"),
-    ({"format": 7}, "is no run.json of this version"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"maps": 5}, "maps: got 5, expected a text"),
+        ({"parameters": {"a": 5}}, "parameters.a: got 5, expected an object"),
+        ({"job": []}, "job: got [], expected a text"),
+        ({"format": 7}, "is no run.json of this version"),
+    ],
+)
 def test_what_decided_the_rows_was_edited(folder: Path, edit: dict, said: str) -> None:
     out = folder / "out"
     change(out / "run.json", lambda row: row.update(edit))
@@ -346,16 +352,19 @@ def with_about(index: Path, edit: Callable[[dict], object], **arrays: np.ndarray
     np.savez(index, **found | arrays)
 
 
-@pytest.mark.parametrize(("edit", "said"), [
-    ({"maps": []}, "maps: got [], expected an object"),
-    ({"maps": {"a": 5}}, "maps.a: got 5, expected a list of 2"),
-    ({"written": "x"}, "written: got 'x', expected a whole number"),
-    ({"written": HUGE}, "written: got 1000"),
-    ({"levels": [["a", 1, 1, 0.1]]}, "levels.0: got ['a', 1, 1, 0.1], expected a list of 5"),
-    ({"levels": [["a", -1, -1, 0.1, 0]]}, "levels of other sizes"),
-    ({"levels": [["a", 10**9, 10**9, 0.1, 0]]}, "levels of other sizes"),
-    ({"format": None}, "format: got None"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"maps": []}, "maps: got [], expected an object"),
+        ({"maps": {"a": 5}}, "maps.a: got 5, expected a list of 2"),
+        ({"written": "x"}, "written: got 'x', expected a whole number"),
+        ({"written": HUGE}, "written: got 1000"),
+        ({"levels": [["a", 1, 1, 0.1]]}, "levels.0: got ['a', 1, 1, 0.1], expected a list of 5"),
+        ({"levels": [["a", -1, -1, 0.1, 0]]}, "levels of other sizes"),
+        ({"levels": [["a", 10**9, 10**9, 0.1, 0]]}, "levels of other sizes"),
+        ({"format": None}, "format: got None"),
+    ],
+)
 def test_an_index_that_was_edited(folder: Path, edit: dict, said: str) -> None:
     index = build(folder)
     with_about(index, lambda about: about.update(edit))

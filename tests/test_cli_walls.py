@@ -33,12 +33,15 @@ def test_walls_are_stated_by_hand_in_metres(thick: Path) -> None:
     assert run.err.count("thinner") == 1  # no advice
 
 
-@pytest.mark.parametrize(("words", "expected"), [
-    (["--thinner", 0.01], "--thinner: got 0.01, expected 0 or at least half a cell, 0.05 m"),
-    (["--thinner", -1], "--thinner: got -1, expected metres, 0 to 1"),
-    (["--bent", "wide"], "--bent"),
-    (["--bent", 0.1, "--method", "cbml"], "--thinner and --bent: cbml scores walls as drawn"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--thinner", 0.01], "--thinner: got 0.01, expected 0 or at least half a cell, 0.05 m"),
+        (["--thinner", -1], "--thinner: got -1, expected metres, 0 to 1"),
+        (["--bent", "wide"], "--bent"),
+        (["--bent", 0.1, "--method", "cbml"], "--thinner and --bent: cbml scores walls as drawn"),
+    ],
+)
 def test_walls_that_cannot_be_are_refused(thick: Path, words: list[object], expected: str) -> None:
     call("localize", thick / "map.yaml", thick / "log.npz", *words).ends(2, expected, out="")
 

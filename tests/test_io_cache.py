@@ -51,7 +51,8 @@ def test_key_depends_on_everything_that_matters(monkeypatch: pytest.MonkeyPatch)
         cache_key(grid(free=base.free & ~other), {"sigma": 0.1}),
         # the same bits in another shape
         cache_key(
-            grid(occupied=base.occupied.reshape(6, 4), free=base.free.reshape(6, 4)), {"sigma": 0.1}
+            grid(occupied=base.occupied.reshape(6, 4), free=base.free.reshape(6, 4)),
+            {"sigma": 0.1},
         ),
         cache_key(grid(resolution=np.nextafter(0.1, 1)), {"sigma": 0.1}),
         cache_key(base, {"sigma": 0.1000001}),
@@ -170,18 +171,21 @@ def damage(path: Path, kind: str) -> None:
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("kind", [
-    "bit",
-    "half",
-    "empty",
-    "text",
-    "pickle",
-    "compressed",
-    "nameless",
-    "no member",
-    "another's",
-    "huge",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "bit",
+        "half",
+        "empty",
+        "text",
+        "pickle",
+        "compressed",
+        "nameless",
+        "no member",
+        "another's",
+        "huge",
+    ],
+)
 def test_a_bad_entry_is_none_with_a_warning_and_can_be_replaced(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str
 ) -> None:

@@ -74,17 +74,20 @@ def values(sigma_xy: float, temperature: object) -> dict[str, object]:
     return {"sigma_xy": sigma_xy, "sigma_theta": 0, "temperature": temperature}
 
 
-@pytest.mark.parametrize(("change", "expected"), [
-    ({"format": 2}, "format 1"),
-    ({"methods": []}, "methods: got [], expected an object"),
-    ({"methods": {"fused": values(1, 1)}}, "methods: expected an object with keys of cbml"),
-    ({"methods": {"ght": {"sigma_xy": 1}}}, "methods.ght: no sigma_theta, expected a number"),
-    ({"methods": {"ght": values(0, "1")}}, "got '1'"),
-    ({"methods": {"ght": values(0, True)}}, "got True"),
-    ({"methods": {"ght": values(0, 0)}}, "methods.ght.temperature: got 0.0, expected a factor"),
-    ({"methods": {"ght": values(-1, 1)}}, "sigma_xy"),
-    ({"methods": {"ght": values(float("nan"), 1)}}, "methods.ght.sigma_xy: got nan, expected"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"format": 2}, "format 1"),
+        ({"methods": []}, "methods: got [], expected an object"),
+        ({"methods": {"fused": values(1, 1)}}, "methods: expected an object with keys of cbml"),
+        ({"methods": {"ght": {"sigma_xy": 1}}}, "methods.ght: no sigma_theta, expected a number"),
+        ({"methods": {"ght": values(0, "1")}}, "got '1'"),
+        ({"methods": {"ght": values(0, True)}}, "got True"),
+        ({"methods": {"ght": values(0, 0)}}, "methods.ght.temperature: got 0.0, expected a factor"),
+        ({"methods": {"ght": values(-1, 1)}}, "sigma_xy"),
+        ({"methods": {"ght": values(float("nan"), 1)}}, "methods.ght.sigma_xy: got nan, expected"),
+    ],
+)
 def test_a_damaged_file_is_not_used(
     path: Path, change: dict[str, object], expected: str, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -174,14 +177,17 @@ def test_a_file_of_before_has_no_error(path: Path) -> None:
     assert load_calibrations(path, GRID) == (FITTED, Shared())
 
 
-@pytest.mark.parametrize("shared", [
-    {"scale": 0.0, "thinner": 0},
-    {"scale": 1.0},
-    {"scale": "1", "thinner": 0},
-    [1, 2],
-    {"scale": 1.0, "thinner": 2.5},
-    {"scale": 1.0, "thinner": 0, "depth": float("nan")},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "shared",
+    [
+        {"scale": 0.0, "thinner": 0},
+        {"scale": 1.0},
+        {"scale": "1", "thinner": 0},
+        [1, 2],
+        {"scale": 1.0, "thinner": 2.5},
+        {"scale": 1.0, "thinner": 0, "depth": float("nan")},
+    ],
+)
 def test_an_error_that_cannot_be_is_not_used(path: Path, shared: object, caplog) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | {"shared": shared}))
     with caplog.at_level(logging.WARNING):

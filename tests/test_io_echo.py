@@ -59,17 +59,20 @@ def test_echo_of_either_ros(tmp_path: Path, text: str) -> None:
     assert size.numbers >= 12
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    (
-        ROS2.replace("- .nan", "- '...'"),
-        "shortened after 2 readings; print all of them: ros2 topic echo -f",
-    ),
-    ("image: a.png\nresolution: 0.05\norigin: [0, 0, 0]\n", "a map's YAML: the order is MAP"),
-    ("a: &x 1\nranges: [1]\n", "line 1: YAML anchor &x, expected plain"),
-    ("ranges: [1, 2\n", "message 0: line 2: not valid YAML"),
-    ("ranges: [1, 2]\nangle_min: left\nangle_max: 1\n", "angle_min: got 'left'"),
-    ("hello\n", "expected the fields of a LaserScan"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            ROS2.replace("- .nan", "- '...'"),
+            "shortened after 2 readings; print all of them: ros2 topic echo -f",
+        ),
+        ("image: a.png\nresolution: 0.05\norigin: [0, 0, 0]\n", "a map's YAML: the order is MAP"),
+        ("a: &x 1\nranges: [1]\n", "line 1: YAML anchor &x, expected plain"),
+        ("ranges: [1, 2\n", "message 0: line 2: not valid YAML"),
+        ("ranges: [1, 2]\nangle_min: left\nangle_max: 1\n", "angle_min: got 'left'"),
+        ("hello\n", "expected the fields of a LaserScan"),
+    ],
+)
 def test_what_cannot_be_used_is_one_error(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "a.yaml"
     path.write_text(text)
@@ -77,13 +80,16 @@ def test_what_cannot_be_used_is_one_error(tmp_path: Path, text: str, message: st
         load_scans(path)
 
 
-@pytest.mark.parametrize("text", [
-    ROS2,
-    '{"ranges": [1.0, 2.0, 3.0], "angle_min": -1, "angle_max": 1}\n',
-    "# angle_min=-1, angle_max=1\n1.0,2.0,3.0\n",
-    "FLASER 181 " + 181 * "1.0 " + "0 0 0 0 0 0 1 h 1\n",
-    "-1.0,1.0\n0.0,2.0\n1.0,3.0\n",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        ROS2,
+        '{"ranges": [1.0, 2.0, 3.0], "angle_min": -1, "angle_max": 1}\n',
+        "# angle_min=-1, angle_max=1\n1.0,2.0,3.0\n",
+        "FLASER 181 " + 181 * "1.0 " + "0 0 0 0 0 0 1 h 1\n",
+        "-1.0,1.0\n0.0,2.0\n1.0,3.0\n",
+    ],
+)
 def test_content_tells_what_a_name_does_not(tmp_path: Path, text: str) -> None:
     for name in ("a.txt", "a"):
         path = tmp_path / name

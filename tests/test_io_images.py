@@ -23,46 +23,49 @@ EXIF_ROTATED = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0
 PALETTE = chunk(b"PLTE", bytes([0, 255, 0, 9, 8, 7]))
 
 
-@pytest.mark.parametrize(("data", "expected", "white"), [
-    (png(2, 1, 8, 0, [bytes([0, 205])]), [[0, 205]], 255),
-    (png(4, 1, 1, 0, [bytes([0b10100000])]), [[255, 0, 255, 0]], 255),
-    (png(4, 1, 2, 0, [bytes([0b00011011])]), [[0, 85, 170, 255]], 255),
-    (png(2, 1, 16, 0, [struct.pack(">HH", 256, 65535)]), [[256, 65535]], 65535),
-    # Grey with alpha: as BGRA.
-    (png(1, 1, 8, 4, [bytes([205, 7])]), [[[205, 205, 205, 7]]], 255),
-    (png(1, 1, 8, 2, [bytes([1, 2, 3])]), [[[3, 2, 1]]], 255),
-    (png(1, 1, 8, 6, [bytes([1, 2, 3, 4])]), [[[3, 2, 1, 4]]], 255),
-    (png(2, 1, 8, 3, [b"\0\1"], before=PALETTE), [[[0, 255, 0], [7, 8, 9]]], 255),
-    # Transparency by colour or palette index.
-    (
-        png(2, 1, 8, 3, [b"\0\1"], before=PALETTE + chunk(b"tRNS", b"\0")),
-        [[[0, 255, 0, 0], [7, 8, 9, 255]]],
-        255,
-    ),
-    (
-        png(2, 1, 8, 0, [bytes([0, 205])], before=chunk(b"tRNS", b"\0\xcd")),
-        [[[0, 0, 0, 255], [205, 205, 205, 0]]],
-        255,
-    ),
-    (
-        png(2, 1, 2, 0, [bytes([0b00100000])], before=chunk(b"tRNS", b"\0\2")),
-        [[[0, 0, 0, 255], [170, 170, 170, 0]]],
-        255,
-    ),
-    # Gamma and orientation do not belong to the pixels of a map.
-    (
-        png(
-            2,
-            1,
-            8,
-            0,
-            [bytes([100, 205])],
-            before=chunk(b"gAMA", struct.pack(">I", 20000)) + chunk(b"eXIf", EXIF_ROTATED),
+@pytest.mark.parametrize(
+    ("data", "expected", "white"),
+    [
+        (png(2, 1, 8, 0, [bytes([0, 205])]), [[0, 205]], 255),
+        (png(4, 1, 1, 0, [bytes([0b10100000])]), [[255, 0, 255, 0]], 255),
+        (png(4, 1, 2, 0, [bytes([0b00011011])]), [[0, 85, 170, 255]], 255),
+        (png(2, 1, 16, 0, [struct.pack(">HH", 256, 65535)]), [[256, 65535]], 65535),
+        # Grey with alpha: as BGRA.
+        (png(1, 1, 8, 4, [bytes([205, 7])]), [[[205, 205, 205, 7]]], 255),
+        (png(1, 1, 8, 2, [bytes([1, 2, 3])]), [[[3, 2, 1]]], 255),
+        (png(1, 1, 8, 6, [bytes([1, 2, 3, 4])]), [[[3, 2, 1, 4]]], 255),
+        (png(2, 1, 8, 3, [b"\0\1"], before=PALETTE), [[[0, 255, 0], [7, 8, 9]]], 255),
+        # Transparency by colour or palette index.
+        (
+            png(2, 1, 8, 3, [b"\0\1"], before=PALETTE + chunk(b"tRNS", b"\0")),
+            [[[0, 255, 0, 0], [7, 8, 9, 255]]],
+            255,
         ),
-        [[100, 205]],
-        255,
-    ),
-])  # fmt: skip
+        (
+            png(2, 1, 8, 0, [bytes([0, 205])], before=chunk(b"tRNS", b"\0\xcd")),
+            [[[0, 0, 0, 255], [205, 205, 205, 0]]],
+            255,
+        ),
+        (
+            png(2, 1, 2, 0, [bytes([0b00100000])], before=chunk(b"tRNS", b"\0\2")),
+            [[[0, 0, 0, 255], [170, 170, 170, 0]]],
+            255,
+        ),
+        # Gamma and orientation do not belong to the pixels of a map.
+        (
+            png(
+                2,
+                1,
+                8,
+                0,
+                [bytes([100, 205])],
+                before=chunk(b"gAMA", struct.pack(">I", 20000)) + chunk(b"eXIf", EXIF_ROTATED),
+            ),
+            [[100, 205]],
+            255,
+        ),
+    ],
+)
 def test_png_pixels_are_as_stored(data: bytes, expected: object, white: int) -> None:
     image = decode_image(data, "map.png")
     np.testing.assert_array_equal(image.pixels, expected)
@@ -110,20 +113,23 @@ def test_16_bits_that_hold_fewer_are_refused(top: int, fine: bool) -> None:
 PGM_ROWS = bytes([0, 50, 100, 10, 20, 30])
 
 
-@pytest.mark.parametrize(("data", "expected", "white"), [
-    (b"P5\n3 2\n100\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
-    (b"P5 3 2 100 " + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
-    (b"P5\r\n3 2\r\n100\r\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
-    (b"P5\n# of\n# two lines\n3 2 # wide\n100\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
-    (b"P5\n3 2\n100\n" + PGM_ROWS + b"\n", [[0, 50, 100], [10, 20, 30]], 100),
-    # A header that ends in LF, before a pixel of 10 = LF; and one that ends in CR.
-    (b"P5\n2 1\n100\n\n\x05", [[10, 5]], 100),
-    (b"P5\n2 1\n100\r\n\x05", [[10, 5]], 100),
-    (b"P5\n2 1\n4095\n" + struct.pack(">HH", 4095, 300), [[4095, 300]], 4095),
-    (b"P2\n3 1 # comment\n15\n0 7 # another\n15\n", [[0, 7, 15]], 15),
-    (b"P3 1 1 255 1 2 3", [[[3, 2, 1]]], 255),
-    (b"P6 1 1 255 \x01\x02\x03", [[[3, 2, 1]]], 255),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("data", "expected", "white"),
+    [
+        (b"P5\n3 2\n100\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5 3 2 100 " + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5\r\n3 2\r\n100\r\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5\n# of\n# two lines\n3 2 # wide\n100\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5\n3 2\n100\n" + PGM_ROWS + b"\n", [[0, 50, 100], [10, 20, 30]], 100),
+        # A header that ends in LF, before a pixel of 10 = LF; and one that ends in CR.
+        (b"P5\n2 1\n100\n\n\x05", [[10, 5]], 100),
+        (b"P5\n2 1\n100\r\n\x05", [[10, 5]], 100),
+        (b"P5\n2 1\n4095\n" + struct.pack(">HH", 4095, 300), [[4095, 300]], 4095),
+        (b"P2\n3 1 # comment\n15\n0 7 # another\n15\n", [[0, 7, 15]], 15),
+        (b"P3 1 1 255 1 2 3", [[[3, 2, 1]]], 255),
+        (b"P6 1 1 255 \x01\x02\x03", [[[3, 2, 1]]], 255),
+    ],
+)
 def test_netpbm_honours_maxval_and_line_endings(data: bytes, expected: object, white: int) -> None:
     image = decode_image(data, "map.pgm")
     np.testing.assert_array_equal(image.pixels, expected)
@@ -283,18 +289,21 @@ for _kind in (3, 4):
 PAGES = {"save_all": True, "append_images": [noise("RGB").rotate(180)]}
 
 
-@pytest.mark.parametrize(("data", "expected"), [
-    (saved("TIFF", noise("L"), compression="jpeg"), "is a TIFF of JPEGs"),
-    (saved("TIFF", noise("L").convert("F")), "TIFF of type F"),
-    (saved("TIFF", noise("CMYK")), "TIFF of type CMYK"),
-    (saved("JPEG", noise("CMYK")), "JPEG of type CMYK"),
-    (saved("TIFF", noise("L"), tiffinfo={274: 6}), "orientation 6, expected 1"),
-    (saved("TIFF", noise("I;16"), tiffinfo={262: 0}), "0 is white"),
-    (saved("TIFF", noise("RGB"), **PAGES), "several images"),
-    (saved("WEBP", noise("RGB"), lossless=True, **PAGES), "several images"),
-    (saved("PNG", noise("RGB"), **PAGES), "animated PNG"),
-    (WIDE_TIFF, "100,007 x 9 pixels, expected at most 32,767 a side"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (saved("TIFF", noise("L"), compression="jpeg"), "is a TIFF of JPEGs"),
+        (saved("TIFF", noise("L").convert("F")), "TIFF of type F"),
+        (saved("TIFF", noise("CMYK")), "TIFF of type CMYK"),
+        (saved("JPEG", noise("CMYK")), "JPEG of type CMYK"),
+        (saved("TIFF", noise("L"), tiffinfo={274: 6}), "orientation 6, expected 1"),
+        (saved("TIFF", noise("I;16"), tiffinfo={262: 0}), "0 is white"),
+        (saved("TIFF", noise("RGB"), **PAGES), "several images"),
+        (saved("WEBP", noise("RGB"), lossless=True, **PAGES), "several images"),
+        (saved("PNG", noise("RGB"), **PAGES), "animated PNG"),
+        (WIDE_TIFF, "100,007 x 9 pixels, expected at most 32,767 a side"),
+    ],
+)
 def test_what_pillow_accepts_and_a_map_must_not_be(data: bytes, expected: str) -> None:
     with pytest.raises(MapError, match=expected):
         decode_image(data, "a.img", max_pixels=10_000)

@@ -63,11 +63,14 @@ def test_resolution_origin_and_yaw(write) -> None:
     assert grid.info.shape == (40, 50)
 
 
-@pytest.mark.parametrize(("semantics", "expected"), [
-    # grey 204 is occ = 0.2 exactly, grey 51 is 0.8 exactly: Nav2 includes, ROS 1 does not.
-    ("nav2", ["##?..."]),
-    ("ros1", ["#???.."]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("semantics", "expected"),
+    [
+        # grey 204 is occ = 0.2 exactly, grey 51 is 0.8 exactly: Nav2 includes, ROS 1 does not.
+        ("nav2", ["##?..."]),
+        ("ros1", ["#???.."]),
+    ],
+)
 def test_thresholds_themselves(write, semantics: str, expected: list[str]) -> None:
     path = write(row(0, 51, 52, 204, 205, 254), "free_thresh: 0.2", "occupied_thresh: 0.8")
     assert classes(load_map(path, semantics=semantics)) == expected
@@ -110,13 +113,16 @@ RGBA = png(
 )
 
 
-@pytest.mark.parametrize(("mode", "semantics", "expected"), [
-    ("trinary", "nav2", "#.???"),
-    # The mean of (0, 0, 0, 255) is 63.75: occ 0.75; of (254, 254, 254, 0) 190.5: 0.25.
-    ("trinary", "ros1", "#.#?."),
-    ("scale", "nav2", "#.???"),
-    ("scale", "ros1", "#.#.."),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mode", "semantics", "expected"),
+    [
+        ("trinary", "nav2", "#.???"),
+        # The mean of (0, 0, 0, 255) is 63.75: occ 0.75; of (254, 254, 254, 0) 190.5: 0.25.
+        ("trinary", "ros1", "#.#?."),
+        ("scale", "nav2", "#.???"),
+        ("scale", "ros1", "#.#.."),
+    ],
+)
 def test_alpha(write, mode: str, semantics: str, expected: str) -> None:
     assert classes(load_map(write(RGBA), mode=mode, semantics=semantics)) == [expected]
 
@@ -156,18 +162,21 @@ def test_options_win_over_the_yaml(write) -> None:
     assert (grid.resolution, grid.origin) == (1.0, Pose2D(1, 1, 0))
 
 
-@pytest.mark.parametrize("options", [
-    {"resolution": 0.0},
-    {"resolution": math.nan},
-    {"mode": "fancy"},
-    {"semantics": "ros3"},
-    {"origin": (0, 0)},
-    {"origin": (0, 0, math.nan)},
-    {"free_thresh": 0.7},
-    {"occupied_thresh": 1.5},
-    {"occupied_thresh": math.nan},
-    {"max_pixels": 0},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"resolution": 0.0},
+        {"resolution": math.nan},
+        {"mode": "fancy"},
+        {"semantics": "ros3"},
+        {"origin": (0, 0)},
+        {"origin": (0, 0, math.nan)},
+        {"free_thresh": 0.7},
+        {"occupied_thresh": 1.5},
+        {"occupied_thresh": math.nan},
+        {"max_pixels": 0},
+    ],
+)
 def test_options_out_of_range_are_the_callers_fault(write, options) -> None:
     with pytest.raises(ConfigError, match="expected"):
         load_map(write(row(0, 254)), **options)
@@ -272,15 +281,18 @@ def test_cells_that_nav2_and_ros1_read_differently(write) -> None:
     assert check_map(path, semantics="ros1").semantics_differ == 2
 
 
-@pytest.mark.parametrize(("greys", "lines", "code"), [
-    ((254, 254), (), "no-walls"),
-    ((0, 205), (), "no-free"),
-    ((0, 0, 0, 254), (), "mostly-occupied"),
-    ((0, 254), ("origin: [0, 0, 3.14]",), "yaw"),
-    ((0, 254), ("resolution: 0.5",), "coarse"),
-    ((0, 254), ("free_tresh: 0.1",), "unknown-key"),
-    (tuple(range(0, 255, 5)), (), "many-greys"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("greys", "lines", "code"),
+    [
+        ((254, 254), (), "no-walls"),
+        ((0, 205), (), "no-free"),
+        ((0, 0, 0, 254), (), "mostly-occupied"),
+        ((0, 254), ("origin: [0, 0, 3.14]",), "yaw"),
+        ((0, 254), ("resolution: 0.5",), "coarse"),
+        ((0, 254), ("free_tresh: 0.1",), "unknown-key"),
+        (tuple(range(0, 255, 5)), (), "many-greys"),
+    ],
+)
 def test_warnings(write, greys, lines, code: str) -> None:
     assert code in codes(write(row(*greys), *lines))
     assert code not in codes(write(row(0, 205, 254)))

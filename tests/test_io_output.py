@@ -109,12 +109,15 @@ def test_png_round_trip(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(again, image[::-1])
 
 
-@pytest.mark.parametrize("image", [
-    np.zeros((2, 2)),
-    np.zeros((2, 2, 4), np.uint8),
-    np.zeros((0, 2), np.uint8),
-    np.zeros(3, np.uint8),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((2, 2)),
+        np.zeros((2, 2, 4), np.uint8),
+        np.zeros((0, 2), np.uint8),
+        np.zeros(3, np.uint8),
+    ],
+)
 def test_png_of_something_else_is_a_defect(image) -> None:
     with pytest.raises(ValueError, match="must be uint8, grey or BGR"):
         encode_png(image)

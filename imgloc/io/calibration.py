@@ -63,10 +63,13 @@ def save_calibrations(
     old = said if isinstance(said, dict) else {}
     old = {name: old[name] for name in (*kept, "shared") if name in old}
     content = {
-        "format": _FORMAT, "imgloc": __version__, "map_hash": map_hash(grid),
+        "format": _FORMAT,
+        "imgloc": __version__,
+        "map_hash": map_hash(grid),
         "methods": {name: vars(fitted) for name, fitted in {**kept, **calibrations}.items()},
-        "shared": vars(shared or Shared()), "about": {**old, **about},
-    }  # fmt: skip
+        "shared": vars(shared or Shared()),
+        "about": {**old, **about},
+    }
     write_text_atomic(path, json.dumps(content, indent=2, allow_nan=False) + "\n", force=force)
 
 

@@ -164,14 +164,20 @@ def check_map(path: PathLike, **reading: "Unpack[Reading]") -> MapReport:
     del parts
     as_used = {key: value for key, value in vars(settings).items() if key not in ("image", "yaml")}
     return MapReport(
-        path=display(path), image=display(settings.image), kind=image.kind, width=grid.info.width,
-        height=grid.info.height, **as_used, shares=shares,
+        path=display(path),
+        image=display(settings.image),
+        kind=image.kind,
+        width=grid.info.width,
+        height=grid.info.height,
+        **as_used,
+        shares=shares,
         movable=None if grid.movable is None else float(grid.movable.mean()),
         free_parts=tuple(float(size) * grid.resolution**2 for size in sizes[:_MOST]),
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
-        grey_levels=len(levels), semantics_differ=differ,
-        warnings=_warnings(settings, image, sums, grid, counts)
-    )  # fmt: skip
+        grey_levels=len(levels),
+        semantics_differ=differ,
+        warnings=_warnings(settings, image, sums, grid, counts),
+    )
 
 
 def check_bytes(size: ImageSize) -> int:

@@ -368,11 +368,14 @@ def yaml_text(settings: MapSettings, folder: Path) -> str:
     """The YAML, for a file in a folder, by which map_server reads an image with these settings."""
     said = {
         "image": Path(os.path.relpath(settings.image, folder)).as_posix(),
-        "resolution": settings.resolution, "origin": list(settings.origin),
-        "negate": int(settings.negate), "occupied_thresh": settings.occupied_thresh,
-        "free_thresh": settings.free_thresh, "mode": settings.mode,
+        "resolution": settings.resolution,
+        "origin": list(settings.origin),
+        "negate": int(settings.negate),
+        "occupied_thresh": settings.occupied_thresh,
+        "free_thresh": settings.free_thresh,
+        "mode": settings.mode,
         **({} if settings.semantics == SEMANTICS[0] else {"semantics": settings.semantics}),
-    }  # fmt: skip
+    }
     if settings.yaml is not None and settings.yaml.movable is not None:
         said["movable"] = settings.yaml.movable
     return str(yaml.safe_dump(said, sort_keys=False, allow_unicode=True))
@@ -452,10 +455,12 @@ def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool)
         expected = "expected 0 <= free_thresh < occupied_thresh <= 1"
         raise error(f"{found}, {expected}; or pass `free_thresh` and `occupied_thresh`")
     return MapSettings(
-        image=written.image, resolution=float(used["resolution"]),
+        image=written.image,
+        resolution=float(used["resolution"]),
         origin=origin if isinstance(origin, Pose2D) else Pose2D(*map(float, origin)),
-        yaml=None if bare else written, **{key: used[key] for key in _DEFAULTS}
-    )  # fmt: skip
+        yaml=None if bare else written,
+        **{key: used[key] for key in _DEFAULTS},
+    )
 
 
 def _given(reading: Reading) -> dict[str, Any]:

@@ -178,12 +178,17 @@ def scan_to_msg(scan: LaserScan, frame_id: str = "laser") -> dict[str, Any]:
     if not count or np.abs(even - angles).max() > max(_UNEVEN * abs(step), _UNEVEN**2):
         raise ConfigError("scan: its angles are not evenly spaced, as those of a LaserScan are")
     return {
-        "header": header_fields(scan.stamp, frame_id), "angle_min": float(angles[0]),
-        "angle_max": float(angles[-1]), "angle_increment": step,
-        "time_increment": float(scan.time_increment), "scan_time": 0.0,
-        "range_min": float(scan.range_min), "range_max": float(scan.range_max),
-        "ranges": scan.ranges.tolist(), "intensities": [],
-    }  # fmt: skip
+        "header": header_fields(scan.stamp, frame_id),
+        "angle_min": float(angles[0]),
+        "angle_max": float(angles[-1]),
+        "angle_increment": step,
+        "time_increment": float(scan.time_increment),
+        "scan_time": 0.0,
+        "range_min": float(scan.range_min),
+        "range_max": float(scan.range_max),
+        "ranges": scan.ranges.tolist(),
+        "intensities": [],
+    }
 
 
 def grid_to_msg(grid: OccupancyGrid, frame_id: str = "map", stamp: float = 0.0) -> dict[str, Any]:

@@ -175,9 +175,12 @@ def run_batch(
     found = list(find_items(maps, scans, job, out=out) if items is None else items)
     digest = job.digest
     about = {
-        "imgloc": __version__, "job": job.name, "maps": display(maps),
-        "scans": None if scans is None else display(scans), "parameters": {digest: job.parameters},
-    }  # fmt: skip
+        "imgloc": __version__,
+        "job": job.name,
+        "maps": display(maps),
+        "scans": None if scans is None else display(scans),
+        "parameters": {digest: job.parameters},
+    }
     new, warned = 0, set[str]()
     with Results(out, about, resume=resume or retry_failed) as results:
         todo = remaining(found, job, results.known, retry_failed=retry_failed)
@@ -333,10 +336,17 @@ def _drawn(item: Item, answer: Answer, means: Means) -> dict[str, bytes]:
 def _row(item: Item, job: Job) -> Row:
     hashes, digest = hashes_of(item), job.digest
     return {
-        "map": item.map, "scans": item.scans, "status": "ok", "code": None, "message": None,
-        "answers": [], "key": key_of(hashes, digest), "hashes": {**hashes, "parameters": digest},
-        "version": __version__, "cost": {},
-    }  # fmt: skip
+        "map": item.map,
+        "scans": item.scans,
+        "status": "ok",
+        "code": None,
+        "message": None,
+        "answers": [],
+        "key": key_of(hashes, digest),
+        "hashes": {**hashes, "parameters": digest},
+        "version": __version__,
+        "cost": {},
+    }
 
 
 def _lost(item: Item, job: Job, error: BaseException) -> Row:

@@ -102,11 +102,16 @@ class Locating:
                 drawn = self.features, answer, scan, truth, self.options, self.title(k)
                 advance()
                 yield Located(
-                    row=answer.as_row(k), of=answer, beside=beside,
+                    row=answer.as_row(k),
+                    of=answer,
+                    beside=beside,
                     ms=answer.timings_ms["localize"],
-                    doubtful=answer.verdict != "unique" or beside.get("hit") is False, index=k,
-                    drawn=("answer", *drawn), scan=scan, truth=truth
-                )  # fmt: skip
+                    doubtful=answer.verdict != "unique" or beside.get("hit") is False,
+                    index=k,
+                    drawn=("answer", *drawn),
+                    scan=scan,
+                    truth=truth,
+                )
         self.desk.keep(self.features)
 
     @property

@@ -79,8 +79,11 @@ _ROW: Mapping[str, Any] = {
 }  # fmt: skip
 _ROWS = {job: {**_ROW, "answers": [answer]} for job, answer in _ANSWERS.items()}
 _RUN: Mapping[str, Any] = {
-    "job": str, "maps?": str, "scans?": (str, None), "parameters": {str: {str: object}},
-}  # fmt: skip
+    "job": str,
+    "maps?": str,
+    "scans?": (str, None),
+    "parameters": {str: {str: object}},
+}
 _SUMMARY = {"hints?": [{"hint": str, "items": int, "of": int, "first": [str]}]}
 Row = dict[str, Any]
 Id = tuple[str, str | None]

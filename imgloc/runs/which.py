@@ -157,12 +157,17 @@ class Choosing:
             choice = choose(some, self.options.trust, sure=self.job.sure, ruled_out=ruled_out)
             best = next(iter(choice.probability))
             yield Named(
-                row=choice.as_row(some, k), of=choice,
+                row=choice.as_row(some, k),
+                of=choice,
                 beside={"left_out": left_out} if left_out else {},
                 ms=sum(answer.timings_ms["localize"] for answer in some.values()),
-                doubtful=choice.verdict != best, index=k,
-                drawn=self._drawn(best, some[best], scan, k), fits=some, scan=scan, best=best
-            )  # fmt: skip
+                doubtful=choice.verdict != best,
+                index=k,
+                drawn=self._drawn(best, some[best], scan, k),
+                fits=some,
+                scan=scan,
+                best=best,
+            )
 
     def doubts(self, answers: Sequence[Named]) -> list[Cause]:
         """Causes if most of the scans have no map, tried in the map that fits most.
