@@ -245,9 +245,9 @@ class EvidenceModel(Checked):
     displaced: Length = number("EvidenceModel.displaced")
     #: standard deviation, metres, of the place of each piece of wall on the map: 0 if the map is
     #: true to shape
-    bent: Metres = number("EvidenceModel.bent")
+    bent: Metres = 0.0
     #: exponent of the number of readings on one piece of a bent wall: n readings count as n^alike
-    alike: Share = number("EvidenceModel.alike")
+    alike: Share = 1.0
 
     def bending(self, metres: float, how: "Bending | None" = None) -> "EvidenceModel":
         """The parameters for a map whose pieces of wall stand `metres` off: see :class:`Shared`."""

@@ -34,7 +34,7 @@ from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
 from imgloc.model import VERDICTS, FloatArray, LaserScan, Localization, Pose2D, base_of, compose
 from imgloc.numbers import number
-from imgloc.options import RADIUS, TOLERANCE, Options, Trust
+from imgloc.options import MAX_BAD, RADIUS, TOLERANCE, Options, Trust
 from imgloc.pipeline import localize, localize_many
 from imgloc.robot.recording import Recording
 
@@ -44,7 +44,6 @@ _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
 _FAST, _SPARSE = number("logcheck.fast")
 _REPEATED, _TWICE = number("logcheck.repeats")
-_LACKS = number("logcheck.lacks")
 _BODY = number("logcheck.body")
 _FEW, _CLOSE = number("logcheck.few")
 _STANDS = number("logcheck.stands")
@@ -358,7 +357,7 @@ def _about_stamps(scans: ScanSet) -> dict[str, Any] | None:
 def _about_odometry(scans: ScanSet, findings: list[Cause]) -> dict[str, Any] | None:
     assert scans.odom is not None
     known = np.isfinite(scans.odom).all(axis=1)
-    if known.any() and np.mean(~known) > _LACKS:
+    if known.any() and np.mean(~known) > MAX_BAD:
         _add(findings, "odometry-part", count=np.count_nonzero(~known))
     odom = scans.odom[known]
     if len(odom) <= 1:

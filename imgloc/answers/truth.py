@@ -13,9 +13,9 @@ from imgloc.geometry import in_grid_frame
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.numbers import number
+from imgloc.options import EvidenceModel
 
 _LOG = logging.getLogger("imgloc")
-_NEAR = number("truth.near")
 _AROUND, _APART = number("truth.around"), number("truth.apart")
 _SHARE, _BEST = number("truth.fits")
 _SCANS, _RAYS, _LEAST = number("truth.tried")
@@ -95,7 +95,7 @@ def with_true_poses(
 
 def near_walls(grid: OccupancyGrid) -> BoolArray:
     """(H + 2, W + 2) bool: the cells that are a wall, or near one. None is beyond the map."""
-    r = max(1, round(_NEAR / grid.resolution))
+    r = max(1, round(max(EvidenceModel.sigmas) / grid.resolution))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1, 2 * r + 1))
     return np.pad(cv2.dilate(grid.occupied.astype(np.uint8), disc).astype(bool), 1)
 

@@ -18,6 +18,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief
 from imgloc.filters.evidence import (
+    GATE,
     NO_PLACES,
     Places,
     Sight,
@@ -87,7 +88,7 @@ class TrackerOptions(Checked):
     #: standard deviations of the map's error that all scans share, metres and radians
     error: tuple[Metres, Radians] = number("TrackerOptions.error")
     #: squared Mahalanobis distance up to which a mode may belong to a component
-    gate: Nats = number("TrackerOptions.gate")
+    gate: Nats = GATE
     #: components nearer than this, metres and radians, are joined
     merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
     #: least mass of a ``unique`` component: usually, and on bent walls, where scans share errors

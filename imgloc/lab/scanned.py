@@ -18,6 +18,7 @@ from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import drawn_thick
 
 SURE, _ = TrackerOptions.sure
+_, MOST = TrackerOptions.mass
 MORE, SUDDENLY = TrackerOptions.surprise
 """Nats per reading more than usual, and more than in the scan before, that are a surprise."""
 

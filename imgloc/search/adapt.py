@@ -14,7 +14,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.model import FloatArray
 from imgloc.numbers import number
-from imgloc.options import SCALES, Options, Shared
+from imgloc.options import SCALES, FusedOptions, Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import endpoints, refine
 from imgloc.search.rescore import piece_evidence, pieces, score_readings, things_of_their_own
@@ -38,7 +38,7 @@ _DOUBT, _COUNTS = number("adapt.doubt")
 # Nats against a place: per unit of the logarithm of a scale that was found, and per metre that
 # walls were found to be too thick on each side.
 _AGAINST: tuple[float, float] = number("adapt.against")
-_PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # how many are used
+_PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many are used
 
 
 def wall_evidence(
