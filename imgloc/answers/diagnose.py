@@ -31,7 +31,7 @@ _FITS: float = number("diagnose.fits")
 # of the scans that fit nowhere with it at most, and how near to its bound it may not be known.
 _NEAR, _SLIP, _NOWHERE, _BOUND = number("diagnose.scales")
 # doubtful scans that are looked at in another way, and views that sensors have, radians
-_TRIED, *_VIEWS = number("diagnose.tried")
+TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
 # resolution.
 _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, degrees
@@ -162,7 +162,7 @@ def common_scale(said: Said, known: float) -> float | None:
     moved = [evidence.scale / known for _, evidence in said if evidence.scale != known]
     middle = float(np.median(moved or [1.0]))
     alike = sum(abs(scale - middle) <= _NEAR for scale in moved)
-    most = alike >= _TRIED and 2 * alike > len(moved)
+    most = alike >= TRIED and 2 * alike > len(moved)
     return middle if most and abs(middle - 1) > _SLIP else None
 
 
@@ -192,13 +192,13 @@ class _Trial:
     def tried(self) -> list[int]:
         """Indices of a few of the scans."""
         seeing = [k for k, scan in enumerate(self.scans.scans) if scan.directions]
-        return [seeing[k] for k in evenly(len(seeing), _TRIED).tolist()]
+        return [seeing[k] for k in evenly(len(seeing), TRIED).tolist()]
 
     @property
     def _others(self) -> "_Trial | None":
         """The same with the scans that were not tried, if they are as many."""
         rest = sorted({*range(len(self.scans))} - {*self.tried})
-        return replace(self, scans=self.scans.take(rest)) if len(rest) >= _TRIED else None
+        return replace(self, scans=self.scans.take(rest)) if len(rest) >= TRIED else None
 
     def of(self, laser: str) -> "_Trial":
         """The same with the scans of one laser."""

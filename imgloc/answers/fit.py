@@ -29,9 +29,9 @@ from imgloc.model import FloatArray, LaserScan, Pose2D, plain
 from imgloc.numbers import number
 from imgloc.options import Options, Prior, Shared
 from imgloc.search.priors import stands
-from imgloc.search.refine import refine
+from imgloc.search.refine import FROM_CELLS, refine
 from imgloc.search.rescore import score_readings
-from imgloc.search.weigh import FROM_CELLS, explained_rays
+from imgloc.search.weigh import explained_rays
 
 _AROUND, _APART = number("fit.around"), number("fit.apart")
 _CLOSER = number("fit.closer")  # part of these for a second look, around the best of the first

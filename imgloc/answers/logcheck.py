@@ -18,7 +18,15 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.causes import AGREE, Cause, Given, cause
-from imgloc.answers.diagnose import doubts, misread, place_words, too_few, units_cause, units_of
+from imgloc.answers.diagnose import (
+    TRIED,
+    doubts,
+    misread,
+    place_words,
+    too_few,
+    units_cause,
+    units_of,
+)
 from imgloc.answers.scanmotion import (
     AGREES,
     POOR,
@@ -49,7 +57,6 @@ _FEW, _CLOSE = number("logcheck.few")
 _STANDS = number("logcheck.stands")
 _BARS = number("logcheck.bars")
 _MANY = number("logcheck.many")
-_LOCATED: Sequence[int] = number("logcheck.located")
 _OLD = number("logcheck.old")
 FOLLOWED: float = number("logcheck.followed")
 """Share of unique poses from which a robot counts as followed, so that nothing is looked for."""
@@ -198,7 +205,7 @@ def located(
     They are more unless each is ``unique``.
     """
     some = [k for k, s in enumerate(scans.scans) if s.directions >= options.trust.readings]
-    for most in _LOCATED:
+    for most in (TRIED, 3 * TRIED):
         few = scans.take([some[k] for k in evenly(len(some), most).tolist()])
         answers = list(localize_many(features, few.scans, options))
         if all(answer.verdict == "unique" for answer in answers):

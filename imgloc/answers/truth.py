@@ -8,6 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from imgloc.answers.scanmotion import LEAST, PAIRS, RAYS
 from imgloc.features.scanpoints import evenly, scan_xy
 from imgloc.geometry import in_grid_frame
 from imgloc.io.scanset import ScanSet
@@ -18,7 +19,6 @@ from imgloc.options import EvidenceModel
 _LOG = logging.getLogger("imgloc")
 _AROUND, _APART = number("truth.around"), number("truth.apart")
 _SHARE, _BEST = number("truth.fits")
-_SCANS, _RAYS, _LEAST = number("truth.tried")
 #: What may be wrong with all scans of a file, and what mends it.
 WAYS: Mapping[str, Callable[[LaserScan], LaserScan]] = {
     "": lambda scan: scan,
@@ -56,10 +56,10 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
     """
     walls = near_walls(grid)
     shares = list[tuple[float, float]]()
-    for k in evenly(len(scans), _SCANS).tolist():
+    for k in evenly(len(scans), PAIRS).tolist():
         xy = scan_xy(scans[k])[scans[k].valid]
-        xy = xy[evenly(len(xy), _RAYS)]
-        if len(xy) >= _LEAST:
+        xy = xy[evenly(len(xy), RAYS)]
+        if len(xy) >= LEAST:
             pose = np.array([*in_grid_frame(Pose2D(*poses[k]), grid)])
             shares.append(shares_around(walls, grid.resolution, xy, pose))
     if not shares:
@@ -71,7 +71,7 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
 
 def tried_of(scans: ScanSet) -> ScanSet:
     """The scans of a file by which its poses are judged: a few, in even steps."""
-    return scans.take(evenly(len(scans), _SCANS).tolist())
+    return scans.take(evenly(len(scans), PAIRS).tolist())
 
 
 def with_true_poses(

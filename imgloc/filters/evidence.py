@@ -24,9 +24,9 @@ from imgloc.pipeline import find_modes, find_modes_by_steps
 from imgloc.search.adapt import FROM_SCALES
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
-from imgloc.search.refine import WIDTHS, endpoints, refine
+from imgloc.search.refine import FROM_CELLS, WIDTHS, endpoints, refine
 from imgloc.search.rescore import score_poses, score_readings
-from imgloc.search.weigh import FROM_CELLS, covariances_there, evidence_of
+from imgloc.search.weigh import covariances_there, evidence_of
 
 _FEW = FusedOptions.few_rays  # readings of the first look around a pose
 # Step between the poses of the first look, metres and radians.
@@ -35,7 +35,7 @@ GATE: float = number("TrackerOptions.gate")
 """Squared Mahalanobis distance up to which a pose may belong to a Gaussian."""
 _MOST = number("evidence.most")  # poses of all first looks together, to limit the time
 _CLOSER = number("evidence.closer")  # poses of a first look that are refined
-DEVIATION: tuple[float, float] = number("follow.deviation")
+DEVIATION: tuple[float, float] = FusedOptions.separation
 """Standard deviations of a pose of which none is known: metres and radians."""
 # Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")

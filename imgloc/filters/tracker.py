@@ -40,6 +40,7 @@ from imgloc.options import (
     Bending,
     Count,
     Factor,
+    FusedOptions,
     Length,
     LogOdds,
     Metres,
@@ -54,11 +55,11 @@ from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, walls_of
 from imgloc.search.hypotheses import masses, separated
+from imgloc.search.weigh import MODES
 
 _SURE = number("tracker.sure")  # odds of being lost, at most
 _MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
 _NOTHING = 1 / _SURE  # mass below which a component is dropped
-_RESET = number("tracker.reset")  # mass of new components from which a scan counts as a reset
 
 Search = Callable[[LaserScan], Places]
 
@@ -68,8 +69,8 @@ class TrackerOptions(Checked):
     """Settings of the tracker."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: Count = number("TrackerOptions.components")  #: largest number of components
-    births: Count = number("TrackerOptions.births")  #: modes of one scan that may become components
+    components: Count = MODES  #: largest number of components
+    births: Count = MODES  #: modes of one scan that may become components
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
     #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall, unless
@@ -90,7 +91,7 @@ class TrackerOptions(Checked):
     #: squared Mahalanobis distance up to which a mode may belong to a component
     gate: Nats = GATE
     #: components nearer than this, metres and radians, are joined
-    merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
+    merge: tuple[Metres, Radians] = FusedOptions.separation
     #: least mass of a ``unique`` component: usually, and on bent walls, where scans share errors
     mass: tuple[Share, Share] = number("TrackerOptions.mass")
     #: metres for which a component must be followed before it is ``unique``: the first one, and one
@@ -686,7 +687,7 @@ class Tracker:
         given = self._lost * (1 - elsewhere)
         if given < _NOTHING:
             return
-        self._resets += bool(len(self._poses)) and given > _RESET
+        self._resets += bool(len(self._poses)) and given > 0.5
         new, share = new[: self.how.births], share[: self.how.births]
         self._poses = np.concatenate((self._poses, seen.poses[new]))
         self._covariance = np.concatenate((self._covariance, self._noise(seen)[new]))

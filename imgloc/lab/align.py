@@ -52,16 +52,17 @@ from imgloc.model import (
 )
 from imgloc.numbers import number
 from imgloc.options import FusedOptions
+from imgloc.search.weigh import MODES
 
 _CELL, _BLUR = number("align.cell"), number("align.blur")  # metres, of the correlation
-_PLACES, _FOLLOWED = number("align.places"), number("align.followed")  # refined, and bent
+_PLACES, _FOLLOWED = MODES, number("align.followed")  # refined, and bent
 _WIDTHS = number("align.widths")  # of the kernel of the refinement and the patches, metres
 _PATCH, _REACH = number("align.patch")  # metres between patches, and of their weights
 _STIFF = number("align.stiff")  # between neighbouring patches, metres and radians
 _SLACK = number("align.slack")  # metres that a metre of wall may be off, at the same cost
 _NEAR = _CELL  # metres: walls of two maps that are nearer are one
 _STRAIGHT = number("align.straight")  # radians: normals that are surer are of walls
-_SAME = number("align.same")  # metres: walls at two places that are nearer are one place
+_SAME = FusedOptions.separation[0]  # metres: walls at two places that are nearer are one place
 _HELD = np.array((1.0, 1.0, 0.1))  # of a patch where nothing pulls it: metres, metres, radians
 _DAMPING = 1e-3  # share of the pull that holds a pose where it is, along a corridor
 _PATCHES, _LEAST_WALL = 400, 1.0  # at most so many, each with so many metres of wall
