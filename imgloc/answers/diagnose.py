@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from imgloc.answers.causes import Cause, Given, cause
-from imgloc.answers.scanmotion import agreement, scaled_better, widened
+from imgloc.answers.scanmotion import TRIED, VIEWS, agreement, scaled_better, widened
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import looks_drawn, looks_swapped
@@ -30,8 +30,6 @@ _FITS: float = number("diagnose.fits")
 # By how much the scales of scans differ that share one, what it differs from 1 at least, the share
 # of the scans that fit nowhere with it at most, and how near to its bound it may not be known.
 _NEAR, _SLIP, _NOWHERE, _BOUND = number("diagnose.scales")
-# doubtful scans that are looked at in another way, and views that sensors have, radians
-TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
 # resolution.
 _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, degrees
@@ -280,7 +278,7 @@ class _Trial:
     def view(self) -> Cause | None:
         """The scans fit with another field of view than was stated."""
         view, misfits = self.given.view_of(self.scans[0]), dict[float, float]()
-        for right in map(math.degrees, _VIEWS if view else ()):
+        for right in map(math.degrees, VIEWS if view else ()):
             if found := self.unique(lambda s, f=right / (view or 1): widened(s, f)):  # type: ignore[misc]
                 misfits[right] = float(np.median([a.evidence.misfit for a in found]))
         lead, right = f"{self.fits} at one place ", min(misfits, key=misfits.__getitem__, default=0)

@@ -18,18 +18,11 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.causes import AGREE, Cause, Given, cause
-from imgloc.answers.diagnose import (
-    TRIED,
-    doubts,
-    misread,
-    place_words,
-    too_few,
-    units_cause,
-    units_of,
-)
+from imgloc.answers.diagnose import doubts, misread, place_words, too_few, units_cause, units_of
 from imgloc.answers.scanmotion import (
     AGREES,
     POOR,
+    TRIED,
     Way,
     agreement,
     odd_laser,

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 
 import cv2
 import numpy as np
@@ -34,7 +34,8 @@ _LOOKED, PAIRS, RAYS, LEAST, _AHEAD = number("scanmotion.tried")
 _CELL, _NOISE = number("scanmotion.cell")
 AGREES, POOR, _HALF, _TWO = number("scanmotion.agrees")
 _LAGS = number("scanmotion.lags")
-_ANGLES = number("scanmotion.angles")
+# Doubtful scans that are looked at in another way, and views that sensors have, radians.
+TRIED, *VIEWS = number("diagnose.tried")
 _STEP: float = number("scanmotion.mounts")  # between two turns of a place that are tried
 _SIDE = 4000  # cells of an image of a scan; readings so far off are errors
 Scan = Callable[[LaserScan], LaserScan]
@@ -175,7 +176,7 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
         Way("odometry-turn", odom=lambda o: o * (1, 1, -1)),
         *(Way("units", f, scan=partial(LaserScan.scaled, factor=f)) for f in (0.001, 0.01)),
         *(Way("mounting", turn, scan=partial(_turned, turn=turn)) for turn in turns),
-        *(Way("view", f, scan=partial(widened, factor=f)) for f in _ANGLES),
+        *(Way("view", f, scan=partial(widened, factor=f)) for f in _mistaken()),
     ]
     times, unit = np.arange(len(odom), dtype=float), 1.0
     if scans.stamps is not None and np.isfinite(scans.stamps).all():
@@ -185,6 +186,11 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
         unit = float(np.median(np.diff(times)))
     shifts = [sign * late * unit for late in _LAGS for sign in (1, -1)]
     return ways + [Way("lag", s, odom=partial(_shifted, times=times, shift=s)) for s in shifts]
+
+
+def _mistaken() -> list[float]:
+    """Factors between two fields of view, one of which is taken for the other."""
+    return [a / b for a, b in permutations(VIEWS, 2)]
 
 
 def _two(ways: Sequence[Way]) -> list[Way]:
