@@ -17,7 +17,7 @@ from imgloc.numbers import number
 from imgloc.options import EvidenceModel
 
 _LOG = logging.getLogger("imgloc")
-_AROUND, _APART = number("truth.around"), number("truth.apart")
+_AROUND, APART = number("truth.around"), number("fit.apart")
 _SHARE, _BEST = number("truth.fits")
 #: What may be wrong with all scans of a file, and what mends it.
 WAYS: Mapping[str, Callable[[LaserScan], LaserScan]] = {
@@ -109,7 +109,7 @@ def shares_around(
     """
     steps, turns = (
         np.arange(-math.floor(far / step), math.floor(far / step) + 1) * step
-        for far, step in zip(_AROUND, _APART, strict=True)
+        for far, step in zip(_AROUND, APART, strict=True)
     )
     cos, sin = np.cos(pose[2] + turns)[:, None, None], np.sin(pose[2] + turns)[:, None, None]
     x = cos * xy[:, 0] - sin * xy[:, 1] + (pose[0] + steps)[:, None]
