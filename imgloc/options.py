@@ -295,7 +295,7 @@ class FusedOptions(Checked):
     #: number of places that get the second look
     second_look: Count = number("FusedOptions.second_look")
     #: number of hypotheses that get the second look however far they are behind the best one
-    least_look: Annotated[int, Within(0, 1e12, "hypotheses")] = number("FusedOptions.least_look")
+    least_look: Annotated[int, Within(0, 1e12, "hypotheses")] = AT_LEAST
     #: nats behind the best pose of the first look from which others get no second one
     behind: Nats = number("FusedOptions.behind")
     #: number of poses that get the second look whatever their place: between the two layers of a
