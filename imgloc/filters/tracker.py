@@ -57,9 +57,7 @@ from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, wa
 from imgloc.search.hypotheses import masses, separated
 from imgloc.search.weigh import MODES
 
-_SURE = number("tracker.sure")  # odds of being lost, at most
 _MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
-_NOTHING = 1 / _SURE  # mass below which a component is dropped
 
 Search = Callable[[LaserScan], Places]
 
@@ -84,8 +82,6 @@ class TrackerOptions(Checked):
     #: the best component fits abruptly worse than in the scan before. A changed place fits worse
     #: step by step, because the robot drives up to it.
     leak: tuple[Share, Share] = number("TrackerOptions.leak")
-    #: highest odds of being lost that one scan can lead to
-    patience: Factor = number("TrackerOptions.patience")
     #: standard deviations of the map's error that all scans share, metres and radians
     error: tuple[Metres, Radians] = number("TrackerOptions.error")
     #: squared Mahalanobis distance up to which a mode may belong to a component
@@ -122,7 +118,7 @@ class TrackerOptions(Checked):
     startle: Share = number("TrackerOptions.startle")
     #: sudden error of odometry that a scan may reveal if its readings lack less than `fits` there,
     #: metres and radians: wheels that slip, a heading that lags in turns
-    slip: tuple[Metres, Radians] = number("TrackerOptions.slip")
+    slip: tuple[Metres, Radians] = FusedOptions.separation
     #: odometry may turn out worse than `noise`: weight of one scan in the running estimate of its
     #: variance, and the largest factor on the variance
     learn: tuple[Share, Factor] = number("TrackerOptions.learn")
@@ -154,6 +150,11 @@ class TrackerOptions(Checked):
     #: nats that each reading lacks at the best place, are less than these; walls as drawn also
     #: explain one that lacks more, where a building on no map explains it worse
     fits: tuple[Share, Nats] = number("TrackerOptions.fits")
+
+
+# Mass below which a component is dropped: so that a place can recover, the odds of being lost are
+# at most its inverse.
+_NOTHING = 1 - TrackerOptions.mass[1]
 
 
 class _Search:
@@ -454,7 +455,7 @@ class Tracker:
             gone = lost * min(np.exp(_MOST), unknown / (1 - unknown)) ** new
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
-            odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
+            odds = max(self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
         self._settle(seen, at, laser, self._mapped(gained))
@@ -699,7 +700,7 @@ class Tracker:
 
     def _normalise(self) -> None:
         if len(self._mass):  # the odds are limited, so that a place can recover
-            self._lost = min(self._lost, _SURE * float(self._mass.sum()))
+            self._lost = min(self._lost, float(self._mass.sum()) / _NOTHING)
         whole = self._lost + self._mass.sum()
         self._mass, self._lost = self._mass / whole, self._lost / whole
 
