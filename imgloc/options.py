@@ -599,7 +599,7 @@ Spacing = Annotated[
 ]
 Headings = Annotated[int, Within(1, 72, ""), Option("Headings at each place of an atlas.")]
 Flipped = Annotated[bool, Option("The sensor is mounted upside down: its angles run clockwise.")]
-NAMED: float = number("choose.sure")
+NAMED: float = Trust.mass
 """Probability that a map needs to be named, unless another one is asked for."""
 Sure = Annotated[
     float,

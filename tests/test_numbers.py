@@ -31,7 +31,7 @@ LEFT = {
     "a unit, a pattern, nothing at all": ("_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"),
     "a promise": "SCALES SHARES DEEPEST TOLERANCES",
     "bounds of files, pictures, clocks": (
-        "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
+        "_SIDE _BARS _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),
 }
 FITTED = (

@@ -48,7 +48,7 @@ _REPEATED, _TWICE = number("logcheck.repeats")
 _BODY = number("logcheck.body")
 _FEW, _CLOSE = number("logcheck.few")
 _STANDS = number("logcheck.stands")
-_BARS = number("logcheck.bars")
+_BARS = 40  # of the picture of the ranges
 _MANY = number("logcheck.many")
 _OLD = number("logcheck.old")
 FOLLOWED: float = number("logcheck.followed")
@@ -120,7 +120,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     _about_sources(scans.recording, findings)
     _about_repeats(scans, path, findings)
     _about_lasers(scans, findings)
-    edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), int(_BARS) + 1)
+    edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), _BARS + 1)
     histogram = np.histogram(_seen(scans), edges)[0].astype(np.float64), edges
     best = int(np.argmax([scan.directions for scan in scans.scans[:_MANY]]))
     return LogReport(facts, tuple(_sorted(findings)), histogram, path, best)
