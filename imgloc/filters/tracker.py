@@ -110,7 +110,7 @@ class TrackerOptions(Checked):
     #: was unique when the search began. Each scan between them does one step of the search.
     later: Metres = number("TrackerOptions.later")
     #: probability of being lost above which every scan is searched
-    known: Share = number("TrackerOptions.known")
+    known: Share = 1 - mass[0]
     #: nats per reading by which the misfit may exceed the usual one for the best component to stay
     #: ``unique``, and that of the scan before for the scan to be no surprise
     surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
