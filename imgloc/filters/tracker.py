@@ -87,7 +87,7 @@ class TrackerOptions(Checked):
     #: squared Mahalanobis distance up to which a mode may belong to a component
     gate: Nats = GATE
     #: components nearer than this, metres and radians, are joined
-    merge: tuple[Metres, Radians] = FusedOptions.separation
+    merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
     #: least mass of a ``unique`` component: usually, and on bent walls, where scans share errors
     mass: tuple[Share, Share] = number("TrackerOptions.mass")
     #: metres for which a component must be followed before it is ``unique``: the first one, and one

@@ -37,7 +37,7 @@ _DOUBT, _COUNTS = number("adapt.doubt")
 # Nats against a place: per unit of the logarithm of a scale that was found, and per metre that
 # walls were found to be too thick on each side.
 _AGAINST: tuple[float, float] = number("adapt.against")
-_PLACES, _READINGS = FusedOptions.closer, FusedOptions.few_rays  # how many are used
+_PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many are used
 
 
 def wall_evidence(
