@@ -247,9 +247,9 @@ class EvidenceModel(Checked):
     displaced: Length = number("EvidenceModel.displaced")
     #: standard deviation, metres, of the place of each piece of wall on the map: 0 if the map is
     #: true to shape
-    bent: Metres = number("EvidenceModel.bent")
+    bent: Metres = 0.0
     #: exponent of the number of readings on one piece of a bent wall: n readings count as n^alike
-    alike: Share = number("EvidenceModel.alike")
+    alike: Share = 1.0
 
     def bending(self, metres: float, how: "Bending | None" = None) -> "EvidenceModel":
         """The parameters for a map whose pieces of wall stand `metres` off: see :class:`Shared`."""
@@ -297,7 +297,7 @@ class FusedOptions(Checked):
     #: number of places that get the second look
     second_look: Count = number("FusedOptions.second_look")
     #: number of hypotheses that get the second look however far they are behind the best one
-    least_look: Annotated[int, Within(0, 1e12, "hypotheses")] = number("FusedOptions.least_look")
+    least_look: Annotated[int, Within(0, 1e12, "hypotheses")] = AT_LEAST
     #: nats behind the best pose of the first look from which others get no second one
     behind: Nats = number("FusedOptions.behind")
     #: number of poses that get the second look whatever their place: between the two layers of a
@@ -587,7 +587,7 @@ Spacing = Annotated[
 ]
 Headings = Annotated[int, Within(1, 72, ""), Option("Headings at each place of an atlas.")]
 Flipped = Annotated[bool, Option("The sensor is mounted upside down: its angles run clockwise.")]
-NAMED: float = number("choose.sure")
+NAMED: float = Trust.mass
 """Probability that a map needs to be named, unless another one is asked for."""
 Sure = Annotated[
     float,

@@ -31,7 +31,7 @@ LEFT = {
     "a unit, a pattern, nothing at all": ("_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"),
     "a promise": "SCALES SHARES DEEPEST TOLERANCES",
     "bounds of files, pictures, clocks": (
-        "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
+        "_SIDE _BARS _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),
 }
 FITTED = (
@@ -82,8 +82,8 @@ def test_no_default_of_what_was_fitted_is_written_in_the_code() -> None:
         for kind in ast.walk(tree):
             if isinstance(kind, ast.ClassDef) and kind.name in FITTED:
                 fields = [f for f in kind.body if isinstance(f, ast.AnnAssign) and f.value]
-                found[kind.name] = [
-                    ast.unparse(f) for f in fields if f.value and list(literals(f.value))
+                found[kind.name] = [  # a displacement of 0 and an exponent of 1 change nothing
+                    ast.unparse(f) for f in fields if f.value and {*literals(f.value)} - {0, 1}
                     and "number(" not in ast.unparse(f.value)
                 ]  # fmt: skip
     assert found == {name: [] for name in FITTED}

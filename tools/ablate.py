@@ -11,7 +11,7 @@ some are disturbed as in :mod:`tools.trust.disturb`, and some are from no place 
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from multiprocessing import get_context
@@ -32,8 +32,8 @@ class Step:
 
     what: str  #: that happens instead
     numbers: Mapping[str, Any] = field(default_factory=dict)  #: other values, SI units
-    #: functions to put in place of others, by module and name
-    instead: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
+    #: functions, or values, to put in place of others, by module and name
+    instead: Mapping[str, Any] = field(default_factory=dict)
     weighs: bool = False  #: the search is the same, only what is made of it changes
 
 
@@ -78,10 +78,10 @@ STEPS: Mapping[str, Step] = {
     "few rays": Step("the first look takes 180 readings", {"FusedOptions.few_rays": 180}),
     "skip": Step("all levels take all of the few rays", {"FusedOptions.skip": 1}),
     "levels": Step("each level keeps a quarter", {"FusedOptions.keep": (375, 1000, 1000, 4000)}),
-    "refine first": Step("proposals are looked at where they are", {"refine.first_look": (_OFF,)}),
-    "refine first twice": Step("one width, 0.1 m", {"refine.first_look": (0.1,)}),
-    "refine again": Step("none with all readings", {"refine.second_look": (_OFF,)}),
-    "refine again twice": Step("one width, 0.05 m", {"refine.second_look": (0.05,)}),
+    "refine first": Step("none of the few readings", instead={"search.refine.FIRST_LOOK": (_OFF,)}),
+    "refine first twice": Step("one width, 0.1 m", instead={"search.refine.FIRST_LOOK": (0.1,)}),
+    "refine again": Step("none with all readings", instead={"search.refine.SECOND_LOOK": (_OFF,)}),
+    "refine again twice": Step("one width, 0.05 m", instead={"search.refine.SECOND_LOOK": (0.05,)}),
     "standing": Step(
         "poses may be where no sensor can", instead={"search.priors.standing": _same_poses}
     ),

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from imgloc.answers.causes import Cause, Given, cause
-from imgloc.answers.scanmotion import agreement, scaled_better, widened
+from imgloc.answers.scanmotion import TRIED, VIEWS, agreement, scaled_better, widened
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import looks_drawn, looks_swapped
@@ -31,8 +31,6 @@ _FITS: float = number("diagnose.fits")
 # By how much the scales of scans differ that share one, what it differs from 1 at least, the share
 # of the scans that fit nowhere with it at most, and how near to its bound it may not be known.
 _NEAR, _SLIP, _NOWHERE, _BOUND = number("diagnose.scales")
-# doubtful scans that are looked at in another way, and views that sensors have, radians
-_TRIED, *_VIEWS = number("diagnose.tried")
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
 # resolution.
 _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, degrees
@@ -163,7 +161,7 @@ def common_scale(said: Said, known: float) -> float | None:
     moved = [evidence.scale / known for _, evidence in said if evidence.scale != known]
     middle = float(np.median(moved or [1.0]))
     alike = sum(abs(scale - middle) <= _NEAR for scale in moved)
-    most = alike >= _TRIED and 2 * alike > len(moved)
+    most = alike >= TRIED and 2 * alike > len(moved)
     return middle if most and abs(middle - 1) > _SLIP else None
 
 
@@ -193,13 +191,13 @@ class _Trial:
     def tried(self) -> list[int]:
         """Indices of a few of the scans."""
         seeing = [k for k, scan in enumerate(self.scans.scans) if scan.directions]
-        return [seeing[k] for k in evenly(len(seeing), _TRIED).tolist()]
+        return [seeing[k] for k in evenly(len(seeing), TRIED).tolist()]
 
     @property
     def _others(self) -> "_Trial | None":
         """The same with the scans that were not tried, if they are as many."""
         rest = sorted({*range(len(self.scans))} - {*self.tried})
-        return replace(self, scans=self.scans.take(rest)) if len(rest) >= _TRIED else None
+        return replace(self, scans=self.scans.take(rest)) if len(rest) >= TRIED else None
 
     def of(self, laser: str) -> "_Trial":
         """The same with the scans of one laser."""
@@ -281,7 +279,7 @@ class _Trial:
     def view(self) -> Cause | None:
         """The scans fit with another field of view than was stated."""
         view, misfits = self.given.view_of(self.scans[0]), dict[float, float]()
-        for right in map(math.degrees, _VIEWS if view else ()):
+        for right in map(math.degrees, VIEWS if view else ()):
             if found := self.unique(lambda s, f=right / (view or 1): widened(s, f)):  # type: ignore[misc]
                 misfits[right] = float(np.median([a.evidence.misfit for a in found]))
         lead, right = f"{self.fits} at one place ", min(misfits, key=misfits.__getitem__, default=0)

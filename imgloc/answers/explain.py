@@ -45,7 +45,6 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
-from imgloc.numbers import number
 from imgloc.options import FUSED, EvidenceModel, Options
 from imgloc.search.priors import pyramid_levels
 from imgloc.search.rescore import score_poses
@@ -54,7 +53,7 @@ from imgloc.search.weigh import settle
 #: What a ray can be, in the order in which they are counted.
 KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")
 
-_NEAR = number("explain.near")  # metres: points so little farther than the nearest are asked, too
+_NEAR = EvidenceModel.displaced  # points so little farther than the nearest are asked, too
 _SIDE = 1400  # cells that the picture of a likelihood has at most along a side
 _WORK = 10**10  # readings x headings x cells of the correlation that is drawn, at most
 _CHUNK = 1 << 24  # cells of its stack at a time

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.explain import RayFit, explain_rays
+from imgloc.answers.truth import APART
 from imgloc.equality import ByContent
 from imgloc.errors import expect
 from imgloc.features.mapfeatures import MapFeatures
@@ -29,11 +30,11 @@ from imgloc.model import FloatArray, LaserScan, Pose2D, plain
 from imgloc.numbers import number
 from imgloc.options import Options, Prior, Shared
 from imgloc.search.priors import stands
-from imgloc.search.refine import refine
+from imgloc.search.refine import FROM_CELLS, refine
 from imgloc.search.rescore import score_readings
-from imgloc.search.weigh import FROM_CELLS, explained_rays
+from imgloc.search.weigh import explained_rays
 
-_AROUND, _APART = number("fit.around"), number("fit.apart")
+_AROUND = number("fit.around")
 _CLOSER = number("fit.closer")  # part of these for a second look, around the best of the first
 
 
@@ -125,7 +126,7 @@ def _starts() -> FloatArray:
     """Steps (N, 3) to poses around one, metres and radians."""
     x, y, turn = (
         np.arange(-most, most + step / 2, step)
-        for most, step in zip(np.take(_AROUND, (0, 0, 1)), np.take(_APART, (0, 0, 1)), strict=True)
+        for most, step in zip(np.take(_AROUND, (0, 0, 1)), np.take(APART, (0, 0, 1)), strict=True)
     )
     steps = np.stack(np.meshgrid(x, y, turn), axis=-1).reshape(-1, 3)
     return np.asarray(steps[np.hypot(steps[:, 0], steps[:, 1]) <= _AROUND[0] * (1 + 1e-9)])

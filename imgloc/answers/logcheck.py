@@ -22,6 +22,7 @@ from imgloc.answers.diagnose import doubts, misread, place_words, too_few, units
 from imgloc.answers.scanmotion import (
     AGREES,
     POOR,
+    TRIED,
     Way,
     agreement,
     odd_laser,
@@ -34,7 +35,7 @@ from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
 from imgloc.model import VERDICTS, FloatArray, LaserScan, Localization, Pose2D, base_of, compose
 from imgloc.numbers import number
-from imgloc.options import RADIUS, TOLERANCE, Options, Trust
+from imgloc.options import MAX_BAD, RADIUS, TOLERANCE, Options, Trust
 from imgloc.pipeline import localize, localize_many
 from imgloc.pose import difference
 from imgloc.robot.recording import Recording
@@ -45,13 +46,11 @@ _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
 _FAST, _SPARSE = number("logcheck.fast")
 _REPEATED, _TWICE = number("logcheck.repeats")
-_LACKS = number("logcheck.lacks")
 _BODY = number("logcheck.body")
 _FEW, _CLOSE = number("logcheck.few")
 _STANDS = number("logcheck.stands")
-_BARS = number("logcheck.bars")
+_BARS = 40  # of the picture of the ranges
 _MANY = number("logcheck.many")
-_LOCATED: Sequence[int] = number("logcheck.located")
 _OLD = number("logcheck.old")
 FOLLOWED: float = number("logcheck.followed")
 """Share of unique poses from which a robot counts as followed, so that nothing is looked for."""
@@ -122,7 +121,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     _about_sources(scans.recording, findings)
     _about_repeats(scans, path, findings)
     _about_lasers(scans, findings)
-    edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), int(_BARS) + 1)
+    edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), _BARS + 1)
     histogram = np.histogram(_seen(scans), edges)[0].astype(np.float64), edges
     best = int(np.argmax([scan.directions for scan in scans.scans[:_MANY]]))
     return LogReport(facts, tuple(_sorted(findings)), histogram, path, best)
@@ -200,7 +199,7 @@ def located(
     They are more unless each is ``unique``.
     """
     some = [k for k, s in enumerate(scans.scans) if s.directions >= options.trust.readings]
-    for most in _LOCATED:
+    for most in (TRIED, 3 * TRIED):
         few = scans.take([some[k] for k in evenly(len(some), most).tolist()])
         answers = list(localize_many(features, few.scans, options))
         if all(answer.verdict == "unique" for answer in answers):
@@ -358,7 +357,7 @@ def _about_stamps(scans: ScanSet) -> dict[str, Any] | None:
 def _about_odometry(scans: ScanSet, findings: list[Cause]) -> dict[str, Any] | None:
     assert scans.odom is not None
     known = np.isfinite(scans.odom).all(axis=1)
-    if known.any() and np.mean(~known) > _LACKS:
+    if known.any() and np.mean(~known) > MAX_BAD:
         _add(findings, "odometry-part", count=np.count_nonzero(~known))
     odom = scans.odom[known]
     if len(odom) <= 1:

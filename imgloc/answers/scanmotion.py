@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 
 import cv2
 import numpy as np
@@ -30,11 +30,12 @@ from imgloc.model import (
 from imgloc.numbers import number
 
 _FAR, _TURN, _WAY = number("scanmotion.apart")
-_LOOKED, _PAIRS, _RAYS, _LEAST, _AHEAD = number("scanmotion.tried")
+_LOOKED, PAIRS, RAYS, LEAST, _AHEAD = number("scanmotion.tried")
 _CELL, _NOISE = number("scanmotion.cell")
 AGREES, POOR, _HALF, _TWO = number("scanmotion.agrees")
 _LAGS = number("scanmotion.lags")
-_ANGLES = number("scanmotion.angles")
+# Doubtful scans that are looked at in another way, and views that sensors have, radians.
+TRIED, *VIEWS = number("diagnose.tried")
 _STEP: float = number("scanmotion.mounts")  # between two turns of a place that are tried
 _SIDE = 4000  # cells of an image of a scan; readings so far off are errors
 Scan = Callable[[LaserScan], LaserScan]
@@ -69,7 +70,7 @@ class Agreement:
 
 def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
     """Agreement of scans with poses of the robot (N, 3), finite, in the odometry's frame."""
-    if len(scans) < _LEAST:
+    if len(scans) < LEAST:
         return Agreement(math.nan)
     pairs = _pairs(odom, scans)
     here = _share(scans.scans.__getitem__, odom, pairs, Way(""))
@@ -120,7 +121,7 @@ def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float, float, str]
         own, path = scans.take(k), odom[k]
         share = partial(_share, own.scans.__getitem__, path, _pairs(path, own))
         here, seen = share(Way("")), np.median([np.count_nonzero(s.valid) for s in own.scans])
-        if seen < _LEAST or math.isnan(here):
+        if seen < LEAST or math.isnan(here):
             continue
         most = max(most, here)
         if here < POOR:
@@ -143,7 +144,7 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
     The shares are those of :func:`agreement`, by the direction; None if no scan states how long it
     took, or the robot does not move enough.
     """
-    if not any(scan.time_increment for scan in scans.scans) or len(scans) < _LEAST:
+    if not any(scan.time_increment for scan in scans.scans) or len(scans) < LEAST:
         return None
     speeds, pairs = scans.velocities, _pairs(odom, scans)
 
@@ -157,7 +158,7 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
 
 def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
     """Return whether each scan agrees with the one after the next, and not with the next."""
-    starts = evenly(len(scans) - 2, 4 * _PAIRS)
+    starts = evenly(len(scans) - 2, 4 * PAIRS)
 
     def median(ahead: int, some: IntArray) -> float:
         shares = [overlap(scans[i], scans[i + ahead], _step(odom, i, i + ahead)) for i in some]
@@ -175,7 +176,7 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
         Way("odometry-turn", odom=lambda o: o * (1, 1, -1)),
         *(Way("units", f, scan=partial(LaserScan.scaled, factor=f)) for f in (0.001, 0.01)),
         *(Way("mounting", turn, scan=partial(_turned, turn=turn)) for turn in turns),
-        *(Way("view", f, scan=partial(widened, factor=f)) for f in _ANGLES),
+        *(Way("view", f, scan=partial(widened, factor=f)) for f in _mistaken()),
     ]
     times, unit = np.arange(len(odom), dtype=float), 1.0
     if scans.stamps is not None and np.isfinite(scans.stamps).all():
@@ -185,6 +186,11 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
         unit = float(np.median(np.diff(times)))
     shifts = [sign * late * unit for late in _LAGS for sign in (1, -1)]
     return ways + [Way("lag", s, odom=partial(_shifted, times=times, shift=s)) for s in shifts]
+
+
+def _mistaken() -> list[float]:
+    """Factors between two fields of view, one of which is taken for the other."""
+    return [a / b for a, b in permutations(VIEWS, 2)]
 
 
 def _two(ways: Sequence[Way]) -> list[Way]:
@@ -250,10 +256,10 @@ def _share(
 
     medians = list[float]()
     for order in (np.argsort(-turned, kind="stable"), np.argsort(turned - gone, kind="stable")):
-        shares = [share for k in order[:_PAIRS].tolist() if not math.isnan(share := fits(k))]
-        if 2 * len(shares) >= _PAIRS:
+        shares = [share for k in order[:PAIRS].tolist() if not math.isnan(share := fits(k))]
+        if 2 * len(shares) >= PAIRS:
             medians.append(float(np.median(shares)))
-        elif len(order) >= _PAIRS:  # scans without readings agree with nothing
+        elif len(order) >= PAIRS:  # scans without readings agree with nothing
             medians.append(0.0)
     return min(medians, default=math.nan)
 
@@ -271,7 +277,7 @@ def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0
     the ranges were multiplied by.
     """
     one, other = (scan_xy(scan)[scan.valid] for scan in (before, after))
-    if min(len(one), len(other)) < _LEAST:
+    if min(len(one), len(other)) < LEAST:
         return math.nan
     mount = before.T_base_laser or Pose2D(0.0, 0.0)
     back = after.T_base_laser or Pose2D(0.0, 0.0)
@@ -280,7 +286,7 @@ def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0
     if not middle > 0:
         return math.nan
     cell = max(_CELL * middle, _NOISE * unit)
-    moved = transform_points(to, other[evenly(len(other), _RAYS)])
+    moved = transform_points(to, other[evenly(len(other), RAYS)])
     corner = one.min(axis=0) - 2 * cell
     filled = np.floor(np.minimum((one - corner) / cell, _SIDE - 3)).astype(np.int64)
     width, height = (filled.max(axis=0) + 3).tolist()

@@ -8,17 +8,17 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from imgloc.answers.scanmotion import LEAST, PAIRS, RAYS
 from imgloc.features.scanpoints import evenly, scan_xy
 from imgloc.geometry import in_grid_frame
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.numbers import number
+from imgloc.options import EvidenceModel
 
 _LOG = logging.getLogger("imgloc")
-_NEAR = number("truth.near")
-_AROUND, _APART = number("truth.around"), number("truth.apart")
+_AROUND, APART = number("truth.around"), number("fit.apart")
 _SHARE, _BEST = number("truth.fits")
-_SCANS, _RAYS, _LEAST = number("truth.tried")
 #: What may be wrong with all scans of a file, and what mends it.
 WAYS: Mapping[str, Callable[[LaserScan], LaserScan]] = {
     "": lambda scan: scan,
@@ -56,10 +56,10 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
     """
     walls = near_walls(grid)
     shares = list[tuple[float, float]]()
-    for k in evenly(len(scans), _SCANS).tolist():
+    for k in evenly(len(scans), PAIRS).tolist():
         xy = scan_xy(scans[k])[scans[k].valid]
-        xy = xy[evenly(len(xy), _RAYS)]
-        if len(xy) >= _LEAST:
+        xy = xy[evenly(len(xy), RAYS)]
+        if len(xy) >= LEAST:
             pose = np.array([*in_grid_frame(Pose2D(*poses[k]), grid)])
             shares.append(shares_around(walls, grid.resolution, xy, pose))
     if not shares:
@@ -71,7 +71,7 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
 
 def tried_of(scans: ScanSet) -> ScanSet:
     """The scans of a file by which its poses are judged: a few, in even steps."""
-    return scans.take(evenly(len(scans), _SCANS).tolist())
+    return scans.take(evenly(len(scans), PAIRS).tolist())
 
 
 def with_true_poses(
@@ -95,7 +95,7 @@ def with_true_poses(
 
 def near_walls(grid: OccupancyGrid) -> BoolArray:
     """(H + 2, W + 2) bool: the cells that are a wall, or near one. None is beyond the map."""
-    r = max(1, round(_NEAR / grid.resolution))
+    r = max(1, round(max(EvidenceModel.sigmas) / grid.resolution))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1, 2 * r + 1))
     return np.pad(cv2.dilate(grid.occupied.astype(np.uint8), disc).astype(bool), 1)
 
@@ -109,7 +109,7 @@ def shares_around(
     """
     steps, turns = (
         np.arange(-math.floor(far / step), math.floor(far / step) + 1) * step
-        for far, step in zip(_AROUND, _APART, strict=True)
+        for far, step in zip(_AROUND, APART, strict=True)
     )
     cos, sin = np.cos(pose[2] + turns)[:, None, None], np.sin(pose[2] + turns)[:, None, None]
     x = cos * xy[:, 0] - sin * xy[:, 1] + (pose[0] + steps)[:, None]

@@ -20,8 +20,7 @@ from imgloc.io.cache import cache_folder, cache_limit
 from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.folders import find_maps
-from imgloc.io.maps import YAML_ENDINGS
-from imgloc.io.mapyaml import image_named
+from imgloc.io.mapyaml import YAML_ENDINGS, image_named
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import RADIUS, TOLERANCE, Chosen, Known, Logs, Mounting, Options, Shared
 from imgloc.runs.jobs import Item

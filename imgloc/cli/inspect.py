@@ -75,7 +75,7 @@ def inspect(
 def _is_map(path: Path) -> bool:
     """True of a map: an image, a YAML that names one, or a bundled map by its name."""
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
-    from imgloc.io.maps import YAML_ENDINGS
+    from imgloc.io.mapyaml import YAML_ENDINGS
     from imgloc.io.scans import SCAN_ENDINGS, why_no_scans
 
     ending = path.suffix.lower()

@@ -17,7 +17,7 @@ from imgloc.cli.command import Only, Typed
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
-from imgloc.io.maps import YAML_ENDINGS
+from imgloc.io.mapyaml import YAML_ENDINGS
 from imgloc.live.bounds import Bounds
 from imgloc.model import Pose2D
 from imgloc.options import Chosen, Logs, Mounting, Options

@@ -15,12 +15,13 @@ import numpy as np
 
 from imgloc.model import FAR, BoolArray, Evidence, FloatArray, Floor, LaserScan
 from imgloc.numbers import number
+from imgloc.options import FusedOptions
 
 _LEAST = number("floor.least")  # share of the valid readings that is worth looking at
 _BEYOND = number("floor.beyond")  # share of the readings on the floor that may be beyond it
 _NEAREST = number("floor.nearest")  # metres: what is nearer is no floor
 _WIDTH = number("floor.width")  # metres from the line at most: floors are not even
-_TURNS = number("floor.turns")  # directions that are tried
+_TURNS = round(math.tau / FusedOptions.theta_step)  # directions that are tried
 _TOGETHER = 24  # directions at a time, so that their readings stay in the cache
 _BINS = 512  # of distances; what is farther is in the last one
 

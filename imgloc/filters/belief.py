@@ -8,8 +8,7 @@ import numpy as np
 from imgloc.filters.motion import compose_poses
 from imgloc.geometry import pose_errors, wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
-from imgloc.numbers import number
-from imgloc.options import Options
+from imgloc.options import FusedOptions, Options
 from imgloc.search.hypotheses import separated
 from imgloc.search.weigh import MODES
 
@@ -80,7 +79,7 @@ class Filter(Protocol):
         """The belief now."""
 
 
-PLACE = number("belief.place")
+PLACE = FusedOptions.separation
 """Poses nearer than this, metres and radians, belong to one place."""
 
 

@@ -19,29 +19,26 @@ from imgloc.filters.motion import compose_poses, invert_poses
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
-from imgloc.options import Options
+from imgloc.options import RADIUS, TOLERANCE, FusedOptions, Options
 from imgloc.pipeline import find_modes, find_modes_by_steps
 from imgloc.search.adapt import FROM_SCALES
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
-from imgloc.search.refine import FIRST_LOOK, SECOND_LOOK, endpoints, refine
+from imgloc.search.refine import FROM_CELLS, WIDTHS, endpoints, refine
 from imgloc.search.rescore import score_poses, score_readings
-from imgloc.search.weigh import FROM_CELLS, covariances_there, evidence_of
+from imgloc.search.weigh import covariances_there, evidence_of
 
-_SETTLE = (*FIRST_LOOK, min(SECOND_LOOK))  # widths of the kernel, metres
-_FEW = number("evidence.readings")  # readings of the first look around a pose
+_FEW = FusedOptions.few_rays  # readings of the first look around a pose
 # Step between the poses of the first look, metres and radians.
 _STEP: tuple[float, float] = number("evidence.step")
-_REACH = number("evidence.reach")  # reach of the first look, standard deviations
-_FARTHEST = number("evidence.farthest")  # and its limit, metres and radians
+GATE: float = number("TrackerOptions.gate")
+"""Squared Mahalanobis distance up to which a pose may belong to a Gaussian."""
 _MOST = number("evidence.most")  # poses of all first looks together, to limit the time
 _CLOSER = number("evidence.closer")  # poses of a first look that are refined
-DEVIATION: tuple[float, float] = number("follow.deviation")
+DEVIATION: tuple[float, float] = FusedOptions.separation
 """Standard deviations of a pose of which none is known: metres and radians."""
 # Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")
-# Widths of the kernel that picks poses, metres: for the first look, and for the last one.
-_WIDTHS = number("evidence.widths")
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,8 @@ def settled(
 
     Without a `covariance` a pose moves by at most half a metre and some degrees. With the
     covariance (C, 3, 3) of each, a first look tries poses all over its Gaussian: far readings end
-    near their walls only if the heading is nearly right. `poses` come best first.
+    near their walls only if the heading is nearly right. It goes no farther than a robot may be
+    from a pose that is roughly known. `poses` come best first.
     """
     if covariance is None or not len(poses):
         return view.robot(_refined(features, view, view.sensor(poses)))
@@ -136,11 +134,12 @@ def settled(
         count += len(some[-1])
     owner = np.repeat(np.arange(len(poses)), [len(one) for one in some])
     at = view.sensor(np.concatenate(some))
-    best = _best_of(owner, _met(features, at, view.readings.spread(_FEW).xy, _WIDTHS[0]), _CLOSER)
+    met = _met(features, at, view.readings.spread(_FEW).xy, FROM_CELLS[0])
+    best = _best_of(owner, met, _CLOSER)
     found, owner = view.robot(_refined(features, view, at[best])), owner[best]
     square = squares(found - poses[owner], covariance[owner])
-    met = _met(features, view.sensor(found), view.readings.xy, _WIDTHS[1])
-    return found[_best_of(owner, met - len(view.readings) * (square > _REACH**2), 1)]
+    met = _met(features, view.sensor(found), view.readings.xy, FROM_CELLS[1])
+    return found[_best_of(owner, met - len(view.readings) * (square > GATE), 1)]
 
 
 def squares(apart: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -163,12 +162,12 @@ def _around(pose: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def _steps(deviation: float, kind: int) -> FloatArray:
     """Offsets on both sides of 0 and 0 itself, in metres (kind 0) or radians (kind 1)."""
-    n = int(min(_REACH * deviation, _FARTHEST[kind]) / _STEP[kind] + 0.5)
+    n = int(min(GATE**0.5 * deviation, (RADIUS, TOLERANCE)[kind]) / _STEP[kind] + 0.5)
     return _STEP[kind] * np.arange(-n, n + 1.0)
 
 
 def _refined(features: MapFeatures, view: View, at: FloatArray) -> FloatArray:
-    return refine(at, view.readings.xy, features.field, sigmas=_SETTLE)
+    return refine(at, view.readings.xy, features.field, sigmas=WIDTHS)
 
 
 def _met(features: MapFeatures, at: FloatArray, xy: FloatArray, width: float) -> FloatArray:

@@ -18,6 +18,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief
 from imgloc.filters.evidence import (
+    GATE,
     NO_PLACES,
     Places,
     Sight,
@@ -39,6 +40,7 @@ from imgloc.options import (
     Bending,
     Count,
     Factor,
+    FusedOptions,
     Length,
     LogOdds,
     Metres,
@@ -53,11 +55,9 @@ from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, walls_of
 from imgloc.search.hypotheses import masses, separated
+from imgloc.search.weigh import MODES
 
-_SURE = number("tracker.sure")  # odds of being lost, at most
 _MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
-_NOTHING = 1 / _SURE  # mass below which a component is dropped
-_RESET = number("tracker.reset")  # mass of new components from which a scan counts as a reset
 
 Search = Callable[[LaserScan], Places]
 
@@ -67,8 +67,8 @@ class TrackerOptions(Checked):
     """Settings of the tracker."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: Count = number("TrackerOptions.components")  #: largest number of components
-    births: Count = number("TrackerOptions.births")  #: modes of one scan that may become components
+    components: Count = MODES  #: largest number of components
+    births: Count = MODES  #: modes of one scan that may become components
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
     #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall, unless
@@ -82,12 +82,10 @@ class TrackerOptions(Checked):
     #: the best component fits abruptly worse than in the scan before. A changed place fits worse
     #: step by step, because the robot drives up to it.
     leak: tuple[Share, Share] = number("TrackerOptions.leak")
-    #: highest odds of being lost that one scan can lead to
-    patience: Factor = number("TrackerOptions.patience")
     #: standard deviations of the map's error that all scans share, metres and radians
     error: tuple[Metres, Radians] = number("TrackerOptions.error")
     #: squared Mahalanobis distance up to which a mode may belong to a component
-    gate: Nats = number("TrackerOptions.gate")
+    gate: Nats = GATE
     #: components nearer than this, metres and radians, are joined
     merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
     #: least mass of a ``unique`` component: usually, and on bent walls, where scans share errors
@@ -112,7 +110,7 @@ class TrackerOptions(Checked):
     #: was unique when the search began. Each scan between them does one step of the search.
     later: Metres = number("TrackerOptions.later")
     #: probability of being lost above which every scan is searched
-    known: Share = number("TrackerOptions.known")
+    known: Share = 1 - mass[0]
     #: nats per reading by which the misfit may exceed the usual one for the best component to stay
     #: ``unique``, and that of the scan before for the scan to be no surprise
     surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
@@ -120,7 +118,7 @@ class TrackerOptions(Checked):
     startle: Share = number("TrackerOptions.startle")
     #: sudden error of odometry that a scan may reveal if its readings lack less than `fits` there,
     #: metres and radians: wheels that slip, a heading that lags in turns
-    slip: tuple[Metres, Radians] = number("TrackerOptions.slip")
+    slip: tuple[Metres, Radians] = FusedOptions.separation
     #: odometry may turn out worse than `noise`: weight of one scan in the running estimate of its
     #: variance, and the largest factor on the variance
     learn: tuple[Share, Factor] = number("TrackerOptions.learn")
@@ -152,6 +150,11 @@ class TrackerOptions(Checked):
     #: nats that each reading lacks at the best place, are less than these; walls as drawn also
     #: explain one that lacks more, where a building on no map explains it worse
     fits: tuple[Share, Nats] = number("TrackerOptions.fits")
+
+
+# Mass below which a component is dropped: so that a place can recover, the odds of being lost are
+# at most its inverse.
+_NOTHING = 1 - TrackerOptions.mass[1]
 
 
 class _Search:
@@ -452,7 +455,7 @@ class Tracker:
             gone = lost * min(np.exp(_MOST), unknown / (1 - unknown)) ** new
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
-            odds = max(how.patience, self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
+            odds = max(self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
         self._settle(seen, at, laser, self._mapped(gained))
@@ -685,7 +688,7 @@ class Tracker:
         given = self._lost * (1 - elsewhere)
         if given < _NOTHING:
             return
-        self._resets += bool(len(self._poses)) and given > _RESET
+        self._resets += bool(len(self._poses)) and given > 0.5
         new, share = new[: self.how.births], share[: self.how.births]
         self._poses = np.concatenate((self._poses, seen.poses[new]))
         self._covariance = np.concatenate((self._covariance, self._noise(seen)[new]))
@@ -697,7 +700,7 @@ class Tracker:
 
     def _normalise(self) -> None:
         if len(self._mass):  # the odds are limited, so that a place can recover
-            self._lost = min(self._lost, _SURE * float(self._mass.sum()))
+            self._lost = min(self._lost, float(self._mass.sum()) / _NOTHING)
         whole = self._lost + self._mass.sum()
         self._mass, self._lost = self._mass / whole, self._lost / whole
 

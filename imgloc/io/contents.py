@@ -10,8 +10,7 @@ from pathlib import Path
 from imgloc.errors import ImglocError, ScanError
 from imgloc.io.calibration import calibration_path
 from imgloc.io.files import open_regular
-from imgloc.io.maps import YAML_ENDINGS
-from imgloc.io.mapyaml import image_named
+from imgloc.io.mapyaml import YAML_ENDINGS, image_named
 
 
 def files_of(path: Path) -> list[Path]:

@@ -7,8 +7,7 @@ from pathlib import Path
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.files import PathLike, display, is_folder
 from imgloc.io.images import IMAGE_ENDINGS
-from imgloc.io.maps import YAML_ENDINGS
-from imgloc.io.mapyaml import image_named
+from imgloc.io.mapyaml import YAML_ENDINGS, image_named
 from imgloc.io.scans import why_no_scans
 
 

@@ -45,6 +45,7 @@ from imgloc.io.mapyaml import (
     MODES,
     RESOLUTION_RANGE,
     SEMANTICS,
+    YAML_ENDINGS,
     MapYaml,
     load_map_yaml,
     parse_map_yaml,
@@ -62,7 +63,6 @@ _MOVABLE = 230  # grey level of what may stand there or not: free by these thres
 _DEFAULTS = _THRESHOLDS | {"mode": "trinary", "semantics": "nav2", "negate": False}
 _POSE = "[x, y, yaw] in metres and radians"
 _NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
-YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
 _FRAME = ("origin", "resolution", "negate", "mode")  # what another YAML may have otherwise
 _BESIDE = 64  # YAMLs in the folder of an image that are looked at

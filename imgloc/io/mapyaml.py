@@ -15,6 +15,7 @@ from imgloc.io.text import decoded
 from imgloc.model import Pose2D
 
 MAX_YAML_BYTES = 65_536
+YAML_ENDINGS = (".yaml", ".yml")
 _MOST = 256  # keys and values; imgloc knows nine keys
 MODES = ("trinary", "scale", "raw")
 SEMANTICS = ("nav2", "ros1")

@@ -53,27 +53,29 @@ from imgloc.model import (
 )
 from imgloc.numbers import number
 from imgloc.options import FusedOptions
+from imgloc.search.weigh import MODES
 
 _CELL, _BLUR = number("align.cell"), number("align.blur")  # metres, of the correlation
-_PLACES, _FOLLOWED = number("align.places"), number("align.followed")  # refined, and bent
+_PLACES, _FOLLOWED = MODES, number("align.followed")  # refined, and bent
 _WIDTHS = number("align.widths")  # of the kernel of the refinement and the patches, metres
 _PATCH, _REACH = number("align.patch")  # metres between patches, and of their weights
 _STIFF = number("align.stiff")  # between neighbouring patches, metres and radians
 _SLACK = number("align.slack")  # metres that a metre of wall may be off, at the same cost
 _NEAR = _CELL  # metres: walls of two maps that are nearer are one
 _STRAIGHT = number("align.straight")  # radians: normals that are surer are of walls
-_SAME = number("align.same")  # metres: walls at two places that are nearer are one place
 _HELD = np.array((1.0, 1.0, 0.1))  # of a patch where nothing pulls it: metres, metres, radians
 _DAMPING = 1e-3  # share of the pull that holds a pose where it is, along a corridor
 _PATCHES, _LEAST_WALL = 400, 1.0  # at most so many, each with so many metres of wall
 _LEAST = number("align.least")  # share of walls that agree, metres of them, overlap
 _PLAIN = number("align.plain")  # share of walls that agree, overlap
 _SURE = number("align.sure")  # metres
-_CHANCE = number("align.chance")  # best score of the mirrored map that chance alone may make
-_RIVAL = number("align.rival")  # share of the best score that makes another place a rival
+# Best score of the mirrored map that chance alone may make, and share of the best score that makes
+# another place a rival.
+_CHANCE, _RIVAL = number("align.chance"), number("align.rival")
 SCALES = number("align.scales")  # least and greatest scale, and the step between them
 _ROUNDED = 0.005  # share by which a scale that is found may be off
-_VOTE = FusedOptions.separation  # metres and radians: scans agree where their poses are one
+# Metres and radians: scans agree where their poses are one. Walls that are nearer are of one place.
+_SAME, _ = _VOTE = FusedOptions.separation
 _LEAST_MASS = number("align.mass")  # of the scans, as a share, on a transform
 _ARM = _REACH  # metres: a heading says as much as a point so far off
 _HYPOTHESES, _TRIED = 10, 200  # of a scan, and votes whose transform is tried

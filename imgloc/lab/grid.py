@@ -20,7 +20,7 @@ from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
-from imgloc.lab.scanned import SUDDENLY, ScannedFilter, ScannedOptions
+from imgloc.lab.scanned import MASS, SUDDENLY, ScannedFilter, ScannedOptions
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
@@ -43,7 +43,7 @@ class GridOptions(ScannedOptions):
     method: Annotated[str, OneOf(*METHODS)] = "ght-v"
     #: mass within a box above which only the box is computed; what is left, as a share of a uniform
     #: likelihood, is the least one of a cell, so that none is ruled out
-    box: Share = number("GridOptions.box")
+    box: Share = MASS[1]
     #: largest number of cells of the box, over all headings, that are scored one by one
     box_cells: Count = number("GridOptions.box_cells")
     #: nats per reading by which the misfit may exceed the usual one before p(x | z) is mixed in

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
+from scipy.special import ndtri
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError
@@ -20,7 +21,7 @@ from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import sample_motion
 from imgloc.geometry import theta_bin, transform_poses, wrap
-from imgloc.lab.scanned import ScannedFilter, ScannedOptions
+from imgloc.lab.scanned import MASS, ScannedFilter, ScannedOptions
 from imgloc.model import FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
 from imgloc.options import ALL_METHODS, Count, Factor, Metres, Options, Radians, Share, Shared
@@ -36,8 +37,8 @@ class ParticleOptions(ScannedOptions):
     most: Count = number("ParticleOptions.most")
     #: KLD-sampling: largest distance of the distributions, nats
     error: Annotated[float, Within(1e-6, 1e6, "nats")] = number("ParticleOptions.error")
-    #: KLD-sampling: quantile of the normal distribution; 2.33 is 99 %
-    quantile: Annotated[float, Within(0, 10, "deviations")] = number("ParticleOptions.quantile")
+    #: KLD-sampling: quantile of the normal distribution
+    quantile: Annotated[float, Within(0, 10, "deviations")] = float(ndtri(MASS[0]))
     #: method whose p(x | z) new particles are drawn from
     reset_by: Annotated[str, OneOf(*ALL_METHODS)] = "ght-v"
     #: rates of the long and the short mean of the likelihood

@@ -17,7 +17,7 @@ from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import drawn_thick
 
-SURE, _ = TrackerOptions.sure
+(SURE, _), MASS = TrackerOptions.sure, TrackerOptions.mass
 MORE, SUDDENLY = TrackerOptions.surprise
 """Nats per reading more than usual, and more than in the scan before, that are a surprise."""
 

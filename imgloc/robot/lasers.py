@@ -8,8 +8,9 @@ import numpy as np
 from imgloc.errors import ScanError
 from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
+from imgloc.options import FusedOptions
 
-STRANGE: float = number("belief.strange")
+STRANGE: float = FusedOptions.strained
 """Misfit, nats per reading, that counts as usual before the first scan."""
 _HABIT: float = number("belief.habit")  # weight of a new scan in the running mean of the misfit
 _MOST = 64  # lasers of a robot

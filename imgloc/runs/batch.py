@@ -32,7 +32,7 @@ from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, is_folder, is_there, read_file
 from imgloc.io.folders import files_in, find_maps
 from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
-from imgloc.io.maps import YAML_ENDINGS
+from imgloc.io.mapyaml import YAML_ENDINGS
 from imgloc.io.remote import beside, local
 from imgloc.io.scans import SCAN_ENDINGS, why_no_scans
 from imgloc.model import plain

@@ -14,12 +14,11 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.model import FloatArray
 from imgloc.numbers import number
-from imgloc.options import SCALES, Options, Shared
+from imgloc.options import SCALES, FusedOptions, Options, Shared
 from imgloc.search.priors import standing
-from imgloc.search.refine import endpoints, refine
+from imgloc.search.refine import FROM_CELLS, endpoints, refine
 from imgloc.search.rescore import piece_evidence, pieces, score_readings, things_of_their_own
 
-_SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
 """Cells that walls may lose on each side."""
 FROM_SCALES: tuple[float, ...] = number("adapt.scales")
@@ -38,7 +37,7 @@ _DOUBT, _COUNTS = number("adapt.doubt")
 # Nats against a place: per unit of the logarithm of a scale that was found, and per metre that
 # walls were found to be too thick on each side.
 _AGAINST: tuple[float, float] = number("adapt.against")
-_PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # how many are used
+_PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many are used
 
 
 def wall_evidence(
@@ -84,7 +83,7 @@ def _pieces(
     scale (C, 4).
     """
     there, straight = features.thinner(thinner), options.fused.model
-    poses = refine(places, readings.xy, there.field, sigmas=_SIGMAS)
+    poses = refine(places, readings.xy, there.field, sigmas=FROM_CELLS)
     poses = standing(poses, options.prior, there)
     order, parts, _ = pieces(readings.ranges, readings.angles)
     if not len(poses):
@@ -228,7 +227,7 @@ def adapt(
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)
-        poses = refine(poses, readings.xy, there.field, sigmas=_SIGMAS)
+        poses = refine(poses, readings.xy, there.field, sigmas=FROM_CELLS)
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
         small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)

@@ -23,7 +23,6 @@ from imgloc.search.refine import refine
 
 SLIP = FusedOptions.separation
 """How far outside of the prior a refined pose, as one hypothesis, may lie and be brought back."""
-_REACH = number("priors.reach")  # the same in cells, for maps finer than 5 mm
 ASTRAY = number("priors.astray")
 """Weight of poses far from all hints, because hints may be wrong; at a hint it is 1."""
 _LOOKS = 1 << 18  # cells that are looked at in one go
@@ -232,7 +231,7 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
 def _nearest_cells(mask: BoolArray, cells: IntArray, resolution: float) -> IntArray:
     """The nearest cell of `mask` for each (row, col) of (C, 2); the cell itself if all are far."""
     # For few cells this takes 2 ms; a distance transform with indices takes 40 ms on a large map.
-    reach = min(int(np.ceil(SLIP[0] / resolution)), _REACH)
+    reach = int(np.ceil(SLIP[0] / resolution))
     side = np.arange(-reach, reach + 1)
     square = np.add.outer(side**2, side**2)
     offsets = np.argwhere(square <= reach**2)

@@ -12,10 +12,12 @@ from imgloc.geometry import wrap
 from imgloc.model import Float32Array, FloatArray
 from imgloc.numbers import number
 
-FIRST_LOOK: tuple[float, ...] = number("refine.first_look")
-"""Widths of the kernel that takes poses to where they fit, in the first look: metres."""
-SECOND_LOOK: tuple[float, ...] = number("refine.second_look")
-"""The same in the second look."""
+WIDTHS: tuple[float, ...] = number("refine.widths")
+"""Widths of the kernel that takes poses to where they fit: metres."""
+_WIDE, _MIDDLE, _FINE = WIDTHS
+FIRST_LOOK, SECOND_LOOK = (_WIDE, _MIDDLE), (_MIDDLE, _FINE)
+FROM_CELLS: tuple[float, ...] = number("refine.from_cells")
+"""The same for a pose from afar, as from the centre of a cell: metres."""
 MAX_STEP = np.array(number("refine.step"))
 """Most that a pose and a scale move in one step: metres, metres, radians, share."""
 DAMPING: float = number("refine.damping")

@@ -17,14 +17,12 @@ from imgloc.search.faces import depth_of, on_faces
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes, temperature_of
 from imgloc.search.priors import ranked, stands
-from imgloc.search.refine import refine, residuals
+from imgloc.search.refine import FROM_CELLS, refine, residuals
 from imgloc.search.rescore import Scores, score_poses, things_at
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
-FROM_CELLS: tuple[float, ...] = number("refine.from_cells")
-"""Widths of the kernel that takes a pose from the centre of a cell to where it fits, metres."""
 MODES: int = number("pipeline.modes")
 """Least number of poses to look for, so that no verdict depends on the length of the list."""
 # Nats for a map that explains e times as many pieces of a scan: per logarithm of e.

@@ -14,12 +14,12 @@ from tools.ablate import BASE, STEPS, main
 def test_a_number_is_another_one_where_a_tool_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = "import sys, imgloc.numbers as n; print(sys.argv[1:], n.number('align.same'))"
+    code = "import sys, imgloc.numbers as n; print(sys.argv[1:], n.number('align.slack'))"
     (tmp_path / "some_tool.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "argv", [])
-    monkeypatch.setitem(NUMBERS, "align.same", NUMBERS["align.same"])  # it is put back
-    vary.main(["align.same", "7.5", "some_tool", "--some"])
+    monkeypatch.setitem(NUMBERS, "align.slack", NUMBERS["align.slack"])  # it is put back
+    vary.main(["align.slack", "7.5", "some_tool", "--some"])
     assert capsys.readouterr().out == "['--some'] 7.5\n"
 
 
