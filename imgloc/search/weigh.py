@@ -27,7 +27,7 @@ FROM_CELLS: tuple[float, ...] = number("refine.from_cells")
 """Widths of the kernel that takes a pose from the centre of a cell to where it fits, metres."""
 MODES: int = number("pipeline.modes")
 """Least number of poses to look for, so that no verdict depends on the length of the list."""
-# Nats for a map that explains e times as many pieces of a scan: per logarithm of e.
+# Nats for a map that explains e times as many surfaces of a scan: per logarithm of e.
 _PIECES = number("weigh.pieces")
 _FLOOR = number("floor.against")  # nats against a pose that is found without a floor
 
