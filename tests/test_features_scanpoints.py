@@ -245,8 +245,7 @@ def test_a_place_is_one_reading_however_many_rays_saw_it():
     np.testing.assert_allclose(seen.xy, expected, atol=1e-12)
     # Around the sensor no square reaches over 0: four points about it are of four places.
     about = LaserScan(np.full(4, 0.05), np.deg2rad([45, 135, 225, 315]), range_max=9.0)
-    assert len(one_per_place(about, 0.1)) == 4
-    assert np.all(np.diff(one_per_place(about, 0.1).angles) > 0)
+    assert (np.diff(one_per_place(about, 0.1).angles) > 0).tolist() == [True] * 3
 
 
 def test_the_far_and_near_parts_of_a_scan_see_past_people_and_panes():
@@ -257,8 +256,7 @@ def test_the_far_and_near_parts_of_a_scan_see_past_people_and_panes():
     seen = Readings(np.where(stand, 0.5, walls), angles)
     far, _, left, right = (np.isin(part.angles, angles[stand]) for part in seen.parts())
     assert not far.any()
-    assert left.mean() > 0.5
-    assert right.mean() > 0.5
+    assert min(left.mean(), right.mean()) > 0.5
     assert len(far) == pytest.approx(len(angles) / 3, abs=1)
     # A neighbourhood goes on over the first angle.
     turned = Readings(seen.ranges, angles + np.pi / 7).parts()[0]

@@ -153,13 +153,11 @@ class Readings:
         turn = np.concatenate([self.angles + turn for turn in (-math.tau, 0, math.tau)])
         ends = np.searchsorted(turn, self.angles[:, None] + (-_BESIDE, _BESIDE)).ravel()
         around, third = np.append(np.tile(self.ranges, 3), 0), math.ceil(_THIRD * len(self))
-        longest, shortest = (most.reduceat(around, ends)[::2] for most in (np.maximum, np.minimum))
-        far, near = (
-            np.sort(np.argsort(rank, kind="stable")[:third])
-            for rank in (-self.ranges / longest, self.ranges / shortest)
-        )
+        most = np.maximum, np.minimum
+        far, near = (self.ranges / beside.reduceat(around, ends)[::2] for beside in most)
+        thirds = (np.sort(np.argsort(k, kind="stable")[:third]) for k in (-far, near))
         half, each = -(-len(self) // 2), np.arange(len(self))
-        return tuple(self._select(pick) for pick in (far, near, each[:half], each[half:]))
+        return tuple(self._select(pick) for pick in (*thirds, each[:half], each[half:]))
 
     def _select(self, pick: IntArray) -> "Readings":
         return Readings(self.ranges[pick], self.angles[pick], self.silent)
