@@ -459,7 +459,7 @@ def test_a_wall_that_is_passed_counts_once_and_strays_do_not():
         got = score(corridor(2.5 if screened else None), POSE, 4.0 / np.cos(angles), angles)
         assert (got.passing[0].sum(), got.through[0], got.mapped[0]) == (4 * screened, screened, 1)
     far = 4.0 / np.cos(angles)
-    far[5] = 6.5
+    far[18] = 6.5
     got = score(corridor(), POSE, far, angles)
     assert (got.crossed.sum(), got.through[0]) == (1, 0)
 
