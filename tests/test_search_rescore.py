@@ -336,12 +336,14 @@ def naive_things(told, bent, ranges, angles, model):
     pieces = naive_pieces(ranges, angles)
     ends = [(a[-1], b[0]) for a, b in itertools.pairwise(pieces)]
     goes_on = [bool(abs(ranges[k] - ranges[j]) <= 0.5) for j, k in ends]
-    mapped, here = 0, []
-    for piece, moved in zip(pieces, bent, strict=True):
+    mapped, fits, here = 0, False, []
+    for piece, moved, on in zip(pieces, bent, [False, *goes_on], strict=True):
         there = sum(told[k] for k in piece)
         here.append(np.logaddexp(there, moved - number("rescore.displaced")[1]))
         own = len(piece) * (model.best - apart) - price
-        mapped += len(piece) > 1 and here[-1] > max(own, len(piece) * (model.best - 2.0))
+        before, least = fits, max(own, len(piece) * (model.best - 2.0))
+        fits = len(piece) > 1 and here[-1] > least
+        mapped += fits and not (before and on)
     free = [len(piece) * (model.best - apart) for piece in pieces]
     ways = [()]
     for k in range(len(pieces)):
@@ -450,16 +452,16 @@ def test_rays_that_meet_nothing_cost_once_where_the_map_has_a_wall(reach, things
     assert met.log_likelihood[0] == unmet.log_likelihood[0]
 
 
-def test_pieces_that_pass_through_a_wall_are_counted_and_strays_are_not():
-    angles = np.linspace(-0.3, 0.3, 12)
+def test_a_wall_that_is_passed_counts_once_and_strays_do_not():
+    """So does the wall behind it, which goes on over four pieces."""
+    angles = np.linspace(-0.6, 0.6, 36)
     for screened in (False, True):
         got = score(corridor(2.5 if screened else None), POSE, 4.0 / np.cos(angles), angles)
-        assert bool(got.through[0]) == screened
+        assert (got.passing[0].sum(), got.through[0], got.mapped[0]) == (4 * screened, screened, 1)
     far = 4.0 / np.cos(angles)
-    far[5] = 6.5
+    far[18] = 6.5
     got = score(corridor(), POSE, far, angles)
-    assert got.crossed.sum() == 1
-    assert got.through[0] == 0
+    assert (got.crossed.sum(), got.through[0]) == (1, 0)
 
 
 def test_things_are_named_by_where_they_are():

@@ -81,9 +81,11 @@ class Scores:
     log_likelihood: FloatArray  #: (C,) nats, each reading by itself
     things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
     silence: FloatArray  #: (C,) nats of these, 0 or less, for rays that met nothing
-    #: (C, P) pieces, of some readings at least, that are rather what the map has there
-    fits: BoolArray
-    own: BoolArray  #: (C, P) and those that are rather things of their own
+    #: (C,) number of surfaces, in pieces of some readings, that are rather what the map has there
+    mapped: IntArray
+    #: (C,) number of openings: pieces side by side most of which pass through a mapped wall
+    through: IntArray
+    own: BoolArray  #: (C, P) pieces of some readings that are rather things of their own
     passing: BoolArray  #: (C, P) pieces most of which pass through a mapped wall
     #: (C, N) whether a reading ends nearer to a surface than twice the wider sigma
     on_surface: BoolArray
@@ -93,16 +95,6 @@ class Scores:
     def select(self, index: IntArray) -> "Scores":
         """The scores of the poses at `index`."""
         return Scores(*(getattr(self, each.name)[index] for each in fields(self)))
-
-    @property
-    def mapped(self) -> IntArray:
-        """Number of pieces that are rather what the map has there, (C,)."""
-        return np.asarray(self.fits.sum(axis=1))
-
-    @property
-    def through(self) -> IntArray:
-        """Number of pieces that pass through a mapped wall, (C,)."""
-        return np.asarray(self.passing.sum(axis=1))
 
     @property
     def explained(self) -> FloatArray:
@@ -130,10 +122,25 @@ def score_poses(
     fits = some & (told.pieces > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     things = _whole(told, own, goes_on, model) - _PRICE * _within(features, poses)
+    # A wall goes on over many pieces, and a row of panes shows as many: each counts once.
+    mapped, through = _runs(fits, goes_on), _runs(passing, np.True_)
     return Scores(
-        told.total, things, told.silence, fits, some & (told.pieces < own), passing, on_surface,
-        crossed,
+        told.total, things, told.silence, mapped, through, some & (told.pieces < own), passing,
+        on_surface, crossed,
     )  # fmt: skip
+
+
+def _runs(some: BoolArray, goes_on: BoolArray | np.bool_) -> IntArray:
+    """Number of runs (C,) of some of the pieces (C, P), if each that goes on is of the one before.
+
+    Examples
+    --------
+    >>> some, goes_on = np.array([[True, True, False, True]]), np.array([False, False, True, True])
+    >>> _runs(some, goes_on).tolist(), _runs(some, np.True_).tolist()
+    ([3], [2])
+    """
+    before = np.pad(some[:, :-1], ((0, 0), (1, 0)))
+    return np.asarray(np.count_nonzero(some & ~(before & goes_on), axis=1))
 
 
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
