@@ -586,7 +586,7 @@ class Evidence(ByContent):
     #: nats against the best pose: parts of the scan are `through` rather than `mapped`, or it fits
     #: only with an error that was found; below 0 if more is for it
     against: float = 0.0
-    mapped: int = 0  #: surfaces of the scan that are rather what the map has there
+    mapped: int = 0  #: pieces of the scan that are rather what the map has there
     through: int = 0  #: openings: pieces side by side that pass through mapped walls
     things: tuple[Thing, ...] = ()  #: pieces that differ from the map, the largest first
     #: factor on the readings with which they fit far better; 1 if none was needed

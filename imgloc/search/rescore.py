@@ -81,8 +81,7 @@ class Scores:
     log_likelihood: FloatArray  #: (C,) nats, each reading by itself
     things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
     silence: FloatArray  #: (C,) nats of these, 0 or less, for rays that met nothing
-    #: (C,) number of surfaces, in pieces of some readings, that are rather what the map has there
-    mapped: IntArray
+    mapped: IntArray  #: (C,) number of pieces, of some readings, that are rather what the map has
     #: (C,) number of openings: pieces side by side most of which pass through a mapped wall
     through: IntArray
     own: BoolArray  #: (C, P) pieces of some readings that are rather things of their own
@@ -122,25 +121,22 @@ def score_poses(
     fits = some & (told.pieces > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     things = _whole(told, own, goes_on, model) - _PRICE * _within(features, poses)
-    # A wall goes on over many pieces, and a row of panes shows as many: each counts once.
-    mapped, through = _runs(fits, goes_on), _runs(passing, np.True_)
     return Scores(
-        told.total, things, told.silence, mapped, through, some & (told.pieces < own), passing,
-        on_surface, crossed,
+        told.total, things, told.silence, fits.sum(axis=1), _runs(passing),
+        some & (told.pieces < own), passing, on_surface, crossed,
     )  # fmt: skip
 
 
-def _runs(some: BoolArray, goes_on: BoolArray | np.bool_) -> IntArray:
-    """Number of runs (C,) of some of the pieces (C, P), if each that goes on is of the one before.
+def _runs(some: BoolArray) -> IntArray:
+    """Number of runs (C,) of some of the pieces (C, P): a row of panes is one opening.
 
     Examples
     --------
-    >>> some, goes_on = np.array([[True, True, False, True]]), np.array([False, False, True, True])
-    >>> _runs(some, goes_on).tolist(), _runs(some, np.True_).tolist()
-    ([3], [2])
+    >>> _runs(np.array([[True, True, False, True]])).tolist()
+    [2]
     """
     before = np.pad(some[:, :-1], ((0, 0), (1, 0)))
-    return np.asarray(np.count_nonzero(some & ~(before & goes_on), axis=1))
+    return np.asarray(np.count_nonzero(some & ~before, axis=1))
 
 
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:

@@ -25,7 +25,7 @@ _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
 MODES: int = number("pipeline.modes")
 """Least number of poses to look for, so that no verdict depends on the length of the list."""
-# Nats for a map that explains e times as many surfaces of a scan: per logarithm of e.
+# Nats for a map that explains e times as many pieces of a scan: per logarithm of e.
 _PIECES = number("weigh.pieces")
 _FLOOR = number("floor.against")  # nats against a pose that is found without a floor
 
