@@ -90,7 +90,8 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
 def scaled_better(scans: ScanSet, factor: float) -> bool | None:
     """True if the odometry agrees better with the ranges multiplied by `factor` than as they are.
 
-    None if the log has no odometry of a robot that moves, or it agrees with neither.
+    None if the log has no odometry of a robot that moves, or it agrees with neither, or as well
+    with both, within a standard deviation of such a share.
     """
     if scans.odom is None or len(scans) < 2:
         return None
@@ -106,7 +107,9 @@ def scaled_better(scans: ScanSet, factor: float) -> bool | None:
             for i, j in pairs if j < len(odom)
         )  # fmt: skip
         shares.append(float(np.nanmean([0.0, *(overlap(*one, f) for one in both)])))
-    return shares[1] > shares[0] if max(shares) > POOR / 2 else None
+    most = max(shares)
+    alike = np.square(shares[1] - shares[0]) * len(pairs) * RAYS < most * (1 - most)
+    return None if alike or most <= POOR / 2 else shares[1] > shares[0]
 
 
 def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float, float, str] | None:
