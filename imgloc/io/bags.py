@@ -253,7 +253,9 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
     except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
         why = "a length beyond any memory" if isinstance(e, MemoryError) else reason(e)
         if "Profile is not ros2" in why:
-            raise ScanError(f"{name}: no MCAP of ROS 2: let `mcap cat` write its messages as JSON lines") from None
+            raise ScanError(
+                f"{name}: no MCAP of ROS 2: let `mcap cat` write its messages as JSON lines"
+            ) from None
         hint = f"{_SAVES.get(parts[0].suffix, 'ros2 bag reindex')} may save what is in it"
         raise ScanError(f"{name}: damaged or not a bag ({why}); record it again; {hint}") from None
 
