@@ -84,7 +84,7 @@ def test_a_mode_is_at_the_mean_of_its_maxima_unless_that_is_in_a_wall(screen, x)
     wall[10:30, 20] |= screen  # from x = 2.0 m to 2.1 m
     features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
     poses = np.array([[1.9, 2.0, 0.2], [2.2, 2.0, 0.2], [3.5, 1.0, 0.0]])
-    score, pieces = np.array([-50.0, -50.0, -90.0]), [np.zeros((3, 1), bool)] * 4
+    score, pieces = np.array([-50.0, -50.0, -90.0]), [np.zeros((3, 1), bool)] * 3
     scores = Scores(score, score, 0 * score, *pieces, np.ones((3, 4), bool), np.eye(3, 4) > 0)
     mean, best, spread = separate(features, poses, scores, 4, Options())
     np.testing.assert_allclose(mean, [[x, 2.0, 0.2], [3.5, 1.0, 0.0]], atol=1e-12)
@@ -109,11 +109,12 @@ def test_parts_propose_only_where_the_whole_scan_does_not_fit(monkeypatch):
     features, scan = MapFeatures(world()), scan_at((6.0, 5.0, 1.0))
     found = find_modes(features, scan, Options())
     assert_close(found.poses[0], (6.0, 5.0, 1.0))
+    assert len(asked) == 1
     # Readings of nowhere: half of them stop short, at random.
     short = np.random.default_rng(3).uniform(0.2, 1.0, len(ANGLES)) ** 2
     find_modes(features, dataclasses.replace(scan, ranges=scan.ranges * short), Options())
     few, third = Options().fused.few_rays, 38  # of 115 places
-    assert asked == [few, few, third, third, few, few]  # once where it fits
+    assert asked[1:] == [few, third, few, few]
 
 
 @given(seeds)

@@ -21,8 +21,8 @@ _MIN_NEIGHBOURS = 3
 _SIGMA, _WIDTH = 0.02, 0.25
 SURE = np.pi / 6  # radians: normals that are less certain are marked invalid
 # Radians to either side whose readings are a reading's neighbourhood, and the share of the readings
-# that is far, or near, for its own.
-_BESIDE, _THIRD = number("scanpoints.far")
+# that is far for its own.
+_BESIDE, _FAR_SHARE = number("scanpoints.far")
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
 
@@ -137,27 +137,25 @@ class Readings:
         silent = None if self.silent is None else self.silent.spread(n)
         return replace(self._select(evenly(len(self), n)), silent=silent)
 
-    def parts(self) -> "tuple[Readings, ...]":
-        """The thirds that are far and near for their neighbourhood, and both halves of the view.
+    def parts(self) -> "tuple[Readings, Readings, Readings]":
+        """The third that is far for its neighbourhood, and the two halves of the view.
 
-        What is not on the map hardly holds all four. A person stands before a wall, which is seen
-        beside him; beside a pane of glass, which shows what is behind it, stands the nearer wall. A
-        cart holds a half of the view.
+        A thing that is not on the map, such as a cart or a crowd, hardly holds all three: a person
+        stands before a wall, which is seen beside him.
 
         Examples
         --------
         >>> readings = Readings(np.array([5.0, 1.0, 4.0, 9.0]), np.array([0.0, 0.1, 0.2, 1.0]))
         >>> [part.ranges.tolist() for part in readings.parts()]
-        [[5.0, 9.0], [1.0, 9.0], [5.0, 1.0], [4.0, 9.0]]
+        [[5.0, 9.0], [5.0, 1.0], [4.0, 9.0]]
         """
         turn = np.concatenate([self.angles + turn for turn in (-math.tau, 0, math.tau)])
-        ends = np.searchsorted(turn, self.angles[:, None] + (-_BESIDE, _BESIDE)).ravel()
-        around, third = np.append(np.tile(self.ranges, 3), 0), math.ceil(_THIRD * len(self))
-        most = np.maximum, np.minimum
-        far, near = (self.ranges / beside.reduceat(around, ends)[::2] for beside in most)
-        thirds = (np.sort(np.argsort(k, kind="stable")[:third]) for k in (-far, near))
+        ends = np.searchsorted(turn, self.angles[:, None] + (-_BESIDE, _BESIDE))
+        beside = np.maximum.reduceat(np.append(np.tile(self.ranges, 3), 0), ends.ravel())[::2]
+        far = np.argsort(-self.ranges / beside, kind="stable")
+        third = np.sort(far[: math.ceil(_FAR_SHARE * len(self))])
         half, each = -(-len(self) // 2), np.arange(len(self))
-        return tuple(self._select(pick) for pick in (*thirds, each[:half], each[half:]))
+        return self._select(third), self._select(each[:half]), self._select(each[half:])
 
     def _select(self, pick: IntArray) -> "Readings":
         return Readings(self.ranges[pick], self.angles[pick], self.silent)

@@ -81,10 +81,9 @@ class Scores:
     log_likelihood: FloatArray  #: (C,) nats, each reading by itself
     things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
     silence: FloatArray  #: (C,) nats of these, 0 or less, for rays that met nothing
-    mapped: IntArray  #: (C,) number of pieces, of some readings, that are rather what the map has
-    #: (C,) number of openings: pieces side by side most of which pass through a mapped wall
-    through: IntArray
-    own: BoolArray  #: (C, P) pieces of some readings that are rather things of their own
+    #: (C, P) pieces, of some readings at least, that are rather what the map has there
+    fits: BoolArray
+    own: BoolArray  #: (C, P) and those that are rather things of their own
     passing: BoolArray  #: (C, P) pieces most of which pass through a mapped wall
     #: (C, N) whether a reading ends nearer to a surface than twice the wider sigma
     on_surface: BoolArray
@@ -94,6 +93,16 @@ class Scores:
     def select(self, index: IntArray) -> "Scores":
         """The scores of the poses at `index`."""
         return Scores(*(getattr(self, each.name)[index] for each in fields(self)))
+
+    @property
+    def mapped(self) -> IntArray:
+        """Number of pieces that are rather what the map has there, (C,)."""
+        return np.asarray(self.fits.sum(axis=1))
+
+    @property
+    def through(self) -> IntArray:
+        """Number of pieces that pass through a mapped wall, (C,)."""
+        return np.asarray(self.passing.sum(axis=1))
 
     @property
     def explained(self) -> FloatArray:
@@ -122,21 +131,9 @@ def score_poses(
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     things = _whole(told, own, goes_on, model) - _PRICE * _within(features, poses)
     return Scores(
-        told.total, things, told.silence, fits.sum(axis=1), _runs(passing),
-        some & (told.pieces < own), passing, on_surface, crossed,
+        told.total, things, told.silence, fits, some & (told.pieces < own), passing, on_surface,
+        crossed,
     )  # fmt: skip
-
-
-def _runs(some: BoolArray) -> IntArray:
-    """Number of runs (C,) of some of the pieces (C, P): a row of panes is one opening.
-
-    Examples
-    --------
-    >>> _runs(np.array([[True, True, False, True]])).tolist()
-    [2]
-    """
-    before = np.pad(some[:, :-1], ((0, 0), (1, 0)))
-    return np.asarray(np.count_nonzero(some & ~before, axis=1))
 
 
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
