@@ -195,7 +195,7 @@ def aged_along(
     """
     seen = ((scans[m.index], m.pose) for m in moments if m.pose is not None and len(scans))
     return aged(grid, [
-        (scan.scaled(shared.scale), compose(pose, scan.T_base_laser or Pose2D(0.0, 0.0)))
+        (scan.scaled(shared.scale), compose(pose, scan.mount))
         for scan, pose in seen
     ], shared)  # fmt: skip
 

@@ -16,7 +16,7 @@ from imgloc.features.scanpoints import evenly
 from imgloc.filters.belief import PLACE, Belief
 from imgloc.filters.motion import compose_poses, invert_poses, stands, way_of
 from imgloc.geometry import pose_errors
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import FusedOptions
 
@@ -148,8 +148,7 @@ def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatAr
     if not len(places):
         return True
     longer = step * max(1.0, float((np.array((_FAR, _TURN)) / np.maximum(way, 1e-9)).min()))
-    m = scan.T_base_laser or Pose2D(0.0, 0.0)
-    mount, angles = np.array([m.x, m.y, m.theta]), scan.angles[scan.valid | scan.no_return]
+    mount, angles = np.array([*scan.mount]), scan.angles[scan.valid | scan.no_return]
     angles = angles[evenly(len(angles), _FEW)]
     reach, cell = min(scan.range_max, features.grid.diagonal), features.grid.resolution
 

@@ -131,8 +131,8 @@ class Player:
                     self.show(maps.pop(0))
                 stamp = float(log.stamps[k]) if how.clock else begin + late
                 if how.amcl is not None and log.poses is not None:
-                    mount = log[k].T_base_laser or Pose2D(0.0, 0.0)
-                    pose, off = base_of(Pose2D(*log.poses[k]), mount), 3.0 * how.amcl.exists()
+                    pose = base_of(Pose2D(*log.poses[k]), log[k].mount)
+                    off = 3.0 * how.amcl.exists()
                     self._amcl.publish(self._claim(replace(pose, x=pose.x + off), stamp))
                 self._step(k, log[k], None if log.odom is None else log.odom[k], stamp)
         time.sleep(how.stay)
