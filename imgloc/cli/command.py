@@ -188,7 +188,7 @@ def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
 
 
 def with_options_of_program(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
-    """What takes the options of a function and of these classes, which commands are given."""
+    """Return what takes the options of a function and of these classes, for all commands."""
     own = list(inspect.signature(function).parameters.values())
     some = [(_Part("", (), kind), field) for kind in kinds for field in declared(kind)]
     fields = [(part, field) for part, field in some if field.option]
