@@ -18,6 +18,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief
 from imgloc.filters.evidence import (
+    DEVIATION,
     GATE,
     NO_PLACES,
     Places,
@@ -40,7 +41,6 @@ from imgloc.options import (
     Bending,
     Count,
     Factor,
-    FusedOptions,
     Length,
     LogOdds,
     Metres,
@@ -67,8 +67,7 @@ class TrackerOptions(Checked):
     """Settings of the tracker."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: Count = MODES  #: largest number of components
-    births: Count = MODES  #: modes of one scan that may become components
+    components: Count = MODES  #: largest number of components, also of new ones by one scan
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
     #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall, unless
@@ -84,8 +83,6 @@ class TrackerOptions(Checked):
     leak: tuple[Share, Share] = number("TrackerOptions.leak")
     #: standard deviations of the map's error that all scans share, metres and radians
     error: tuple[Metres, Radians] = number("TrackerOptions.error")
-    #: squared Mahalanobis distance up to which a mode may belong to a component
-    gate: Nats = GATE
     #: components nearer than this, metres and radians, are joined
     merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
     #: least mass of a ``unique`` component: usually, and on bent walls, where scans share errors
@@ -116,9 +113,6 @@ class TrackerOptions(Checked):
     surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
     #: least share of a surprising scan's evidence that counts
     startle: Share = number("TrackerOptions.startle")
-    #: sudden error of odometry that a scan may reveal if its readings lack less than `fits` there,
-    #: metres and radians: wheels that slip, a heading that lags in turns
-    slip: tuple[Metres, Radians] = FusedOptions.separation
     #: odometry may turn out worse than `noise`: weight of one scan in the running estimate of its
     #: variance, and the largest factor on the variance
     learn: tuple[Share, Factor] = number("TrackerOptions.learn")
@@ -231,10 +225,10 @@ class Tracker:
         self.features = features.thinner(self.options.shared.thinner)
         self._find = find
         self._searching: _Search | None = None
-        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
-        self._mass, self._followed = np.empty(0), np.empty(0)
-        self._lost, self._resets, self._agreed, self._dark = 1.0, 0, 0, False
-        self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
+        # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
+        self._begun: tuple[FloatArray, FloatArray] | None = None
+        self._begin_again()
+        self._resets, self._dark = 0, False
         self._wrong = 1.0  # factor on the variance of odometry, as scans show it
         self._unseen = np.nan  # metres and seconds, added, since the first of some blind scans
         self._gone = Way()
@@ -247,10 +241,7 @@ class Tracker:
         self._drawn, self._walls = features, list[FloatArray]()
         self._gain = 0.0  # nats by which scans fit better with walls as others draw them
         self._trusted = 0.0  # metres driven with a unique pose
-        self._explained = np.zeros(2)  # weight of the way along which scans agreed, and of all
-        self._uncounted = 0.0  # metres that are in neither yet
-        # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
-        self._begun: tuple[FloatArray, FloatArray] | None = None
+        self._uncounted = 0.0  # metres whose scans count neither as agreeing nor at all yet
 
     def _with(self, shared: Shared, options: Options) -> Options:
         """The options with an error that all readings share, and the trust that goes with it."""
@@ -262,12 +253,11 @@ class Tracker:
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
-        self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
-        self._covariance = np.diag((deviation[0], *deviation))[None] ** 2
+        spread = np.diag((deviation[0], *deviation))[None] ** 2
+        self._begun = np.array(pose, dtype=np.float64).reshape(1, 3), spread
+        self._begin_again()
         self._begun = self._poses.copy(), self._covariance.copy()
-        self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique = self._searching = None
-        self._explained, self._uncounted = np.zeros(2), 0.0
+        self._searching, self._uncounted = None, 0.0
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._lasers.place()
 
@@ -384,7 +374,7 @@ class Tracker:
         """Pose (1, 3) where the best component settles; None if it fits abruptly worse than before.
 
         The pose is first sought within the component's covariance. If nothing fits there, it is
-        sought as far away as odometry may suddenly be off.
+        sought as far away as odometry may suddenly be off, where wheels slip or a heading lags.
         """
         best = int(np.argmax(self._mass))
         pose, spread = self._poses[best : best + 1], self._covariance[best : best + 1]
@@ -393,7 +383,7 @@ class Tracker:
         slipped = False
         surprised = misfit > min(laser.last + self.how.surprise[1], self._strange(laser))
         if surprised and self._lost < 0.5:
-            wider = spread + np.diag((self.how.slip[0], *self.how.slip)) ** 2
+            wider = spread + np.diag((DEVIATION[0], *DEVIATION)) ** 2
             other = settled(self.features, view, pose, wider)
             fit = misfit_at(self.features, view, other, self.options)
             if slipped := fit <= min(self._strange(laser), self.how.fits[1]):
@@ -504,14 +494,14 @@ class Tracker:
                 self._unsearched = 0.0
             begun = _Search(self._steps(scan), view)
             if at_once or not sure:
-                return begun.places(2 * how.births)
+                return begun.places(2 * how.components)
         if begun is None:
             return NO_PLACES
         if begun.metres < how.later:
             begun.step()
             self._searching = begun
             return NO_PLACES
-        found = begun.places(how.births)
+        found = begun.places(how.components)
         return Places(settled(self.features, view, found.poses), found.spread)
 
     def _judge_walls(self, view: View, poses: FloatArray) -> bool:
@@ -570,7 +560,9 @@ class Tracker:
         if self._begun is not None:
             self._poses, self._covariance = self._begun
             self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique, self._agreed, self._explained = None, 0, np.zeros(2)
+        self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
+        # Scans in a row that agree; weight of the way along which scans agreed, and of all.
+        self._agreed, self._explained = 0, np.zeros(2)
 
     def _steps(self, scan: LaserScan) -> Generator[None, None, Places]:
         """Search a scan: pause after each step, but not if a function replaces the search."""
@@ -631,10 +623,10 @@ class Tracker:
         square = squares(seen.poses - self._poses[:, None], spread)
         index = np.arange(known)
         near = index[self._same(self._poses, seen.poses[known : 2 * known])]
-        square[near, known + near] = np.minimum(square[near, known + near], self.how.gate)
+        square[near, known + near] = np.minimum(square[near, known + near], GATE)
         own = np.zeros(square.shape, np.bool_)
         own[index, index] = own[index, known + index] = own[:, 2 * known :] = True
-        fit = np.where(own & (square <= self.how.gate), seen.log_likelihood - square / 2, -np.inf)
+        fit = np.where(own & (square <= GATE), seen.log_likelihood - square / 2, -np.inf)
         at = np.argmax(fit, axis=1)
         return at, square[index, at] / 2
 
@@ -689,7 +681,7 @@ class Tracker:
         if given < _NOTHING:
             return
         self._resets += bool(len(self._poses)) and given > 0.5
-        new, share = new[: self.how.births], share[: self.how.births]
+        new, share = new[: self.how.components], share[: self.how.components]
         self._poses = np.concatenate((self._poses, seen.poses[new]))
         self._covariance = np.concatenate((self._covariance, self._noise(seen)[new]))
         self._mass = np.concatenate((self._mass, given * share))
