@@ -22,19 +22,19 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
+from imgloc import Options, ScanSet, load_map, load_scans, make_filter
 from imgloc.filters.follow import robot_poses
-from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.calibrate import fit_along
 from imgloc.model import Pose2D
-from imgloc.options import TOLERANCES, Chosen, Every, Shared
+from imgloc.options import Chosen, Every, Shared
 from imgloc.pipeline import prepare
 from tools.filters import Run, Searches, drive, driven, from_starts
+from tools.plans.measure import Row as Judged
+from tools.plans.measure import judge
 from tools.recorded import logs_of
 from tools.script import at_least_one, ended, parser_of, show, table_lines
 
 RIGHT = 1.0  # metres
-HIT = TOLERANCES[-1]  # of one scan
 FOUND = 30.0  # metres driven after which a robot should be found
 PIECE = 35.0  # metres of a run from anywhere
 ONE = "set | walls | scans | first | unique | unique and wrong | no-match | lists the pose"
@@ -91,16 +91,9 @@ def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...
     features = prepare(grid, folder.name)
     walls = {"as drawn": Shared(), "calibrated": fit_along(features, [recorded]).shared}
     for name, shared in walls.items():
-        options, found = Options(shared=shared), []
-        for scan, pose in some.with_poses():
-            answer = localize(features, scan, options)
-            errors = pose_errors(poses_of(answer.hypotheses), Pose2D(*pose))
-            near = np.all(errors <= (HIT.position, HIT.heading), axis=1)
-            found.append((bool(near[:1].any()), bool(near.any()), answer.verdict))
-        first, listed, verdicts = zip(*found, strict=True)
-        wrong = sum(v == "unique" and not hit for hit, _, v in found)
-        sure, none = (verdicts.count(word) for word in ("unique", "no-match"))
-        yield folder.name, name, len(some), sum(first), sure, wrong, none, sum(listed)
+        judge(grid, some, row := Judged(folder.name, name), options=Options(shared=shared))
+        counts = row.scans, row.right, row.unique, row.wrong, row.nothing, row.among
+        yield folder.name, name, *counts
 
 
 def main() -> int:

@@ -2,7 +2,6 @@
 
     python -m tools.standing                    # 200 scans that one look cannot settle
     python -m tools.standing -n 20 --seed 1     # fewer
-    python -m tools.standing -n 20 --each       # a line a scan, too
 
 Bundled worlds are the maps. The robot is in their twins: half of the furniture gone, boxes that
 have come, one in 30 square metres. Scans count whose answer alone is ``ambiguous``, or ``unique``
@@ -54,16 +53,6 @@ class Outcome:
     metres: float  #: driven until the first pose; NaN if there was none
     wrong: int  #: poses published along the way that are wrong
     bound: float  #: metres driven until the first pose on the map as the building is now
-    mass: tuple[float, float]  #: after 3 m: of the best place, and of the true one
-
-    @property
-    def line(self) -> str:
-        """It in words."""
-        best, true = self.mass
-        return (
-            f"{self.world}: told after {self.metres:.1f} m, {self.bound:.1f} m on the true map; "
-            f"after {SOON:g} m the best place has {best:.2f}, the true one {true:.2f}"
-        )
 
 
 def wrong(pose: Pose2D | None, truth: FloatArray) -> bool:
@@ -91,13 +80,6 @@ def looks(features: MapFeatures, scans: Sequence[LaserScan], odom: FloatArray) -
 def first_of(moments: Sequence[Moment]) -> float:
     """Metres driven until the first pose is published; NaN if none is."""
     return next((STEP * k for k, one in enumerate(moments) if one.pose is not None), np.nan)
-
-
-def masses(moment: Moment, truth: FloatArray) -> tuple[float, float]:
-    """Mass of the best place, and of the places that are not wrong."""
-    belief = moment.belief
-    right = [not wrong(Pose2D(*pose), truth) for pose in belief.poses.tolist()]
-    return float(belief.mass[:1].sum()), float(belief.mass[right].sum())
 
 
 def way_from(grid: OccupancyGrid, pose: FloatArray, seed: int) -> FloatArray | None:
@@ -144,14 +126,14 @@ def outcomes(world: str, count: int, seed: int) -> Iterator[Outcome]:
         odom = noisy_odometry(turn, np.random.default_rng(seed + k))
         around = list(looks(features, seen(twin, turn, 8 * seed + k), odom))
         odom = noisy_odometry(path, np.random.default_rng(seed + k))
-        drive, soon = seen(twin, path, 9 * seed + k), round(SOON / STEP)
+        drive = seen(twin, path, 9 * seed + k)
         along, best = (list(looks(f, drive, odom)) for f in (features, now))
         yield Outcome(
             world, answer.verdict, sum(m.pose is not None for m in told), alone(answer),
             alone(answer) and off, sum(m.pose is not None for m in around),
             sum(wrong(m.pose, truth) for m, truth in zip(around, turn, strict=True)),
             first_of(along), sum(wrong(m.pose, t) for m, t in zip(along, path, strict=True)),
-            first_of(best), masses(along[soon], path[soon]),
+            first_of(best),
         )  # fmt: skip
 
 
@@ -160,7 +142,6 @@ def main() -> int:
     parser = parser_of("tools.standing", __doc__)
     parser.add_argument("-n", type=int, default=200, help="scans (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--each", action="store_true", help="print a line a scan")
     given = parser.parse_args()
     at_least_one(n=given.n)
     each, every = -(-given.n // len(WORLDS_ASKED)), list[Outcome]()
@@ -168,8 +149,6 @@ def main() -> int:
         for world in WORLDS_ASKED:
             for outcome in outcomes(world, each, given.seed):
                 every.append(outcome)
-                if given.each:
-                    print(outcome.line, flush=True)
                 advance()
     rows = []
     for world in (*WORLDS_ASKED, "all"):

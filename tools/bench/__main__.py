@@ -108,10 +108,10 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
             "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
         }
     }  # fmt: skip
-    maps = _maps(problem, given.scans, given.cells)
-    recorded = recorded_sets(given.sets, given.scans, 0, given.range_max)
+    everything = _maps(problem, given.scans, given.cells)
+    everything += recorded_sets(given.sets, given.scans, 0, given.range_max)
     if "costs" in parts:
-        name, (grid, told) = next(iter(maps.items()))
+        name, grid, told = everything[0]
         # A scan that sees too little to have normals would give no votes to time.
         seen = [s for s in told.scans if scan_points(s.ranges, s.angles, s.valid).valid.any()]
         features, scan = prepare(grid), seen[0]
@@ -126,18 +126,16 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
     if "localize" in parts:
         out["localize"] = {
             name: answer_times(grid, scans.scans[: given.scans], threads, repeats)
-            for name, grid, scans in (*((k, *of) for k, of in maps.items()), *recorded)
+            for name, grid, scans in everything
         }
     if "command" in parts:
-        everything = (*((name, *of) for name, of in maps.items()), *recorded)
         out["command"] = {name: command_times(g, told, repeats) for name, g, told in everything}
     if given.peers is not None:
+        how = given.peers, given.peer_seconds, given.beams
         out["peers"] = {
             f"{name}, {peer}": row
-            for name, grid, told in (*((k, *of) for k, of in maps.items()), *recorded)
-            for peer, row in beside(
-                grid, told, given.peers, given.peer_seconds, given.beams
-            ).items()
+            for name, grid, told in everything
+            for peer, row in beside(grid, told, *how).items()
         }
     if "huge" in parts:
         cells = given.cells or HUGE
@@ -149,15 +147,15 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
 
 def _maps(
     problem: Path | None, count: int, cells: int | None
-) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
+) -> list[tuple[str, OccupancyGrid, ScanSet]]:
     if cells is not None:
         grid = tiled(render(WORLDS["large"](), 0.05), cells)
-        return {f"{cells} x {cells}": (grid, simulate(grid, count, 0, Sensor(range_max=20.0)))}
+        return [(f"{cells} x {cells}", grid, simulate(grid, count, 0, Sensor(range_max=20.0)))]
     if problem is None:
         grid = render(WORLDS["large"](), 0.1)
-        return {"large": (grid, simulate(grid, count, 0, Sensor(range_max=10.0)))}
+        return [("large", grid, simulate(grid, count, 0, Sensor(range_max=10.0)))]
     scans = load_scans(problem / "scans_10m.npz")
-    return {k: (load_map(problem / f"map{k}.yaml"), scans) for k in ("A", "B")}
+    return [(k, load_map(problem / f"map{k}.yaml"), scans) for k in ("A", "B")]
 
 
 def bench_tables(results: Mapping[str, Any]) -> str:

@@ -28,7 +28,7 @@ from imgloc.plans.vectors import READERS
 from tools.plans.drawing import STYLES, building, draw_plan
 from tools.plans.drawings import DRAWINGS_HEAD, measure_drawings, write_dxf
 from tools.plans.measure import DRAWN, MAPS, SHEETS_HEAD, measure, measure_sheets, table
-from tools.plans.sheets import ASIDE, FRESH, HARD, LATER, SHEETS
+from tools.plans.sheets import SHEETS
 from tools.script import ended, parser_of, progress, show, table_lines
 
 
@@ -88,8 +88,7 @@ def run(given: argparse.Namespace) -> int:
 def _sheets(given: argparse.Namespace) -> int:
     """Measure or draw whole sheets."""
     words = given.sheets.split(",")
-    known = SHEETS | ASIDE | LATER | HARD | FRESH
-    some = {n: make for n, make in known.items() if any(word in n for word in words)}
+    some = {n: make for n, make in SHEETS.items() if any(word in n for word in words)}
     if given.draw is not None:
         for name, make in some.items():
             path = given.draw / f"{re.sub('[^a-z0-9]+', '-', name)}.png"
