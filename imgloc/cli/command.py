@@ -184,7 +184,8 @@ def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
             values |= {name: typed for name, hint in aside.items() if hint == Typed}
             function(**values)
 
-    return _signed(run, parameters, noticed)
+    _sign(run, parameters, noticed)
+    return run
 
 
 def with_options_of_program(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
@@ -196,15 +197,15 @@ def with_options_of_program(function: Callable[..., None], *kinds: Any) -> Calla
     def run(**_: Any) -> None: ...
 
     parameters = [*own, *(_parameter(*one) for one in fields)]
-    return _signed(run, parameters, {field.flag for _, field in fields})
+    _sign(run, parameters, {field.flag for _, field in fields})
+    return run
 
 
-def _signed(run: Any, parameters: Sequence[inspect.Parameter], of_program: set[str]) -> Any:
-    """The function as Typer reads it; options `of_program` are told apart by :class:`Shares`."""
+def _sign(run: Any, parameters: Sequence[inspect.Parameter], of_program: set[str]) -> None:
+    """Give a function what Typer reads; options `of_program` are told apart by :class:`Shares`."""
     run.__signature__ = inspect.Signature(parameters)
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     run.of_program = of_program
-    return run
 
 
 def _words_of(field: Declared, text: Any) -> list[str]:

@@ -18,13 +18,12 @@ from imgloc.filters.motion import compose_poses, invert_poses, stands, way_of
 from imgloc.geometry import pose_errors
 from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
-from imgloc.options import FusedOptions
 
 _BUFFERS = 1000  # scans of a laser that are remembered, because a driver may repeat its buffers
 # A scan is an old one again if the robot has moved by so many metres or radians, and at least such
 # a share of its readings have changed by less than so many metres, though the map expects such a
 # share to change.
-_FAR, _TURN = FusedOptions.separation
+_FAR, _TURN = PLACE
 _NEAR, _SHARE = number("follow.stale")
 _CHANGES: float = number("follow.changes")
 _LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's

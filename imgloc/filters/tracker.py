@@ -67,7 +67,6 @@ class TrackerOptions(Checked):
     """Settings of the tracker."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: Count = MODES  #: largest number of components, also of new ones by one scan
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
     #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall, unless
@@ -106,8 +105,6 @@ class TrackerOptions(Checked):
     #: metres from the scan of a search to the scan that scores its places, if the best component
     #: was unique when the search began. Each scan between them does one step of the search.
     later: Metres = number("TrackerOptions.later")
-    #: probability of being lost above which every scan is searched
-    known: Share = 1 - mass[0]
     #: nats per reading by which the misfit may exceed the usual one for the best component to stay
     #: ``unique``, and that of the scan before for the scan to be no surprise
     surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
@@ -146,9 +143,9 @@ class TrackerOptions(Checked):
     fits: tuple[Share, Nats] = number("TrackerOptions.fits")
 
 
-# Mass below which a component is dropped: so that a place can recover, the odds of being lost are
-# at most its inverse.
-_NOTHING = 1 - TrackerOptions.mass[1]
+# Probability of being lost above which every scan is searched, and mass below which a component is
+# dropped: so that a place can recover, the odds of being lost are at most its inverse.
+_LOST, _NOTHING = 1 - np.array(TrackerOptions.mass)
 
 
 class _Search:
@@ -243,6 +240,17 @@ class Tracker:
         self._trusted = 0.0  # metres driven with a unique pose
         self._uncounted = 0.0  # metres whose scans count neither as agreeing nor at all yet
 
+    def _begin_again(self) -> None:
+        """Forget what scans said: only a given pose counts, where odometry has carried it."""
+        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
+        self._mass, self._followed, self._lost = np.empty(0), np.empty(0), 1.0
+        if self._begun is not None:
+            self._poses, self._covariance = self._begun
+            self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
+        # Scans in a row that agree; weight of the way along which scans agreed, and of all.
+        self._agreed, self._explained = 0, np.zeros(2)
+
     def _with(self, shared: Shared, options: Options) -> Options:
         """The options with an error that all readings share, and the trust that goes with it."""
         if not shared.bent:
@@ -331,7 +339,7 @@ class Tracker:
         if due and self._agreed < self.how.agree[0]:
             return True  # scans have to agree, after darkness even if the robot stands still
         near = self._unsurprised(view, laser)
-        if near is None or self._lost > self.how.known:
+        if near is None or self._lost > _LOST:
             return True
         self._follow_on()
         if len(view.readings) >= self.how.agree[1] and laser.last <= self._strange(laser):
@@ -408,7 +416,7 @@ class Tracker:
         new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
-        strange = contradicted or self._lasers.doubted or self._lost > how.known
+        strange = contradicted or self._lasers.doubted or self._lost > _LOST
         due = strange or self._unsearched >= self._pause
         found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.
@@ -494,14 +502,14 @@ class Tracker:
                 self._unsearched = 0.0
             begun = _Search(self._steps(scan), view)
             if at_once or not sure:
-                return begun.places(2 * how.components)
+                return begun.places(2 * MODES)
         if begun is None:
             return NO_PLACES
         if begun.metres < how.later:
             begun.step()
             self._searching = begun
             return NO_PLACES
-        found = begun.places(how.components)
+        found = begun.places(MODES)
         return Places(settled(self.features, view, found.poses), found.spread)
 
     def _judge_walls(self, view: View, poses: FloatArray) -> bool:
@@ -552,17 +560,6 @@ class Tracker:
         faded = float(np.exp(-self._uncounted / self.how.explained[0]))
         self._explained = faded * self._explained + (1 - faded) * np.array([agrees, 1.0])
         self._uncounted = 0.0
-
-    def _begin_again(self) -> None:
-        """Forget what scans said: only a given pose counts, where odometry has carried it."""
-        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
-        self._mass, self._followed, self._lost = np.empty(0), np.empty(0), 1.0
-        if self._begun is not None:
-            self._poses, self._covariance = self._begun
-            self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
-        # Scans in a row that agree; weight of the way along which scans agreed, and of all.
-        self._agreed, self._explained = 0, np.zeros(2)
 
     def _steps(self, scan: LaserScan) -> Generator[None, None, Places]:
         """Search a scan: pause after each step, but not if a function replaces the search."""
@@ -681,7 +678,7 @@ class Tracker:
         if given < _NOTHING:
             return
         self._resets += bool(len(self._poses)) and given > 0.5
-        new, share = new[: self.how.components], share[: self.how.components]
+        new, share = new[:MODES], share[:MODES]
         self._poses = np.concatenate((self._poses, seen.poses[new]))
         self._covariance = np.concatenate((self._covariance, self._noise(seen)[new]))
         self._mass = np.concatenate((self._mass, given * share))
@@ -700,9 +697,7 @@ class Tracker:
         """Join components that have met, drop those without mass, and sort them best first."""
         order = np.argsort(-self._mass, kind="stable")
         distance, angle = self.how.merge
-        picked, owner = separated(
-            self._poses[order], self.how.components, distance=distance, angle=angle
-        )
+        picked, owner = separated(self._poses[order], MODES, distance=distance, angle=angle)
         kept, joined = order[picked], owner >= 0
         mass, longest = np.zeros((2, len(picked)))
         np.add.at(mass, owner[joined], self._mass[order][joined])
