@@ -137,6 +137,19 @@ def outcomes(world: str, count: int, seed: int) -> Iterator[Outcome]:
         )  # fmt: skip
 
 
+def row_of(world: str, some: Sequence[Outcome]) -> tuple[object, ...]:
+    """The cells of the table for a world."""
+    metres, bound = np.array([(o.metres, o.bound) for o in some]).reshape(-1, 2).T
+    known = metres[np.isfinite(metres)]
+    unique, told = sum(o.verdict == "unique" for o in some), sum(o.standing > 0 for o in some)
+    alone = f"{sum(o.alone for o in some)}, {sum(o.alone_wrong for o in some)}"
+    turned = f"{sum(o.turned > 0 for o in some)}, {sum(o.turned_wrong > 0 for o in some)}"
+    soon = [f"{np.mean(way <= SOON):.2f}" if some else "-" for way in (metres, bound)]
+    median = f"{np.median(known):.1f}" if len(known) else "-"
+    missed = sum(o.wrong > 0 for o in some)
+    return world, len(some), unique, told, alone, turned, len(known), missed, *soon, median
+
+
 def main() -> int:
     """Parse the command line, measure, print a table."""
     parser = parser_of("tools.standing", __doc__)
@@ -150,26 +163,8 @@ def main() -> int:
             for outcome in outcomes(world, each, given.seed):
                 every.append(outcome)
                 advance()
-    rows = []
-    for world in (*WORLDS_ASKED, "all"):
-        some = [o for o in every if world in (o.world, "all")]
-        metres = np.array([o.metres for o in some])
-        known = metres[np.isfinite(metres)]
-        rows.append(
-            (
-                world,
-                f"{len(some)}",
-                f"{sum(o.verdict == 'unique' for o in some)}",
-                f"{sum(o.standing > 0 for o in some)}",
-                f"{sum(o.alone for o in some)}, {sum(o.alone_wrong for o in some)}",
-                f"{sum(o.turned > 0 for o in some)}, {sum(o.turned_wrong > 0 for o in some)}",
-                f"{len(known)}",
-                f"{sum(o.wrong > 0 for o in some)}",
-                f"{np.mean(metres <= SOON):.2f}" if len(some) else "-",
-                f"{np.mean([o.bound <= SOON for o in some]):.2f}" if len(some) else "-",
-                f"{np.median(known):.1f}" if len(known) else "-",
-            )
-        )
+    groups = {world: [o for o in every if o.world == world] for world in WORLDS_ASKED}
+    rows = [row_of(*group) for group in (groups | {"all": every}).items()]
     head = (
         "world | scans | alone unique and wrong | told while standing | --standing: told, wrong | "
         "told by a turn, wrong | told on the way | wrong | within 3 m | on the true map | median m"

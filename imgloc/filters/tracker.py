@@ -143,9 +143,9 @@ class TrackerOptions(Checked):
     fits: tuple[Share, Nats] = number("TrackerOptions.fits")
 
 
-# Probability of being lost above which every scan is searched, and mass below which a component is
-# dropped: so that a place can recover, the odds of being lost are at most its inverse.
-_LOST, _NOTHING = 1 - np.array(TrackerOptions.mass)
+# Mass below which a component is dropped: so that a place can recover, the odds of being lost are
+# at most its inverse.
+_NOTHING = 1 - TrackerOptions.mass[1]
 
 
 class _Search:
@@ -339,7 +339,7 @@ class Tracker:
         if due and self._agreed < self.how.agree[0]:
             return True  # scans have to agree, after darkness even if the robot stands still
         near = self._unsurprised(view, laser)
-        if near is None or self._lost > _LOST:
+        if near is None or self._lost > 1 - self.how.mass[0]:
             return True
         self._follow_on()
         if len(view.readings) >= self.how.agree[1] and laser.last <= self._strange(laser):
@@ -416,7 +416,7 @@ class Tracker:
         new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
-        strange = contradicted or self._lasers.doubted or self._lost > _LOST
+        strange = contradicted or self._lasers.doubted or self._lost > 1 - how.mass[0]
         due = strange or self._unsearched >= self._pause
         found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.

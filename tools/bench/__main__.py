@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -115,13 +115,11 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
         # A scan that sees too little to have normals would give no votes to time.
         seen = [s for s in told.scans if scan_points(s.ranges, s.angles, s.valid).valid.any()]
         features, scan = prepare(grid), seen[0]
-        timings = (
-            *in_turns(stack_cases(features, scan, threads), repeats),
-            *in_turns(vote_cases(features, scan, threads), repeats),
-        )
+        cases = stack_cases(features, scan, threads), vote_cases(features, scan, threads)
+        timings = [row for some in cases for row in in_turns(some, repeats)]
         out |= {
             "map": name, "surface_points": len(features.surface),
-            "readings": int(scan.valid.sum()), "costs": [as_row(t) for t in timings],
+            "readings": int(scan.valid.sum()), "costs": timings,
         }  # fmt: skip
     if "localize" in parts:
         out["localize"] = {
@@ -218,56 +216,33 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Timing:
-    """How long a case took."""
-
-    name: str
-    unit: str
-    work: float  #: units of one call: poses times readings, pairs, or 1
-    seconds: tuple[float, ...]  #: of each repeat
-
-    @property
-    def median(self) -> float:
-        """Median of the repeats, seconds."""
-        return float(np.median(self.seconds))
-
-    @property
-    def cost(self) -> float:
-        """Nanoseconds per unit of work."""
-        return 1e9 * self.median / self.work
-
-
 Case = tuple[str, str, float, Callable[[], object]]
 """Name, unit, units of work of a call, the call."""
 
 
-def in_turns(cases: Sequence[Case], repeats: int) -> tuple[Timing, ...]:
-    """Time cases, each in turn, after one call of each that does not count.
+def in_turns(cases: Sequence[Case], repeats: int) -> list[Row]:
+    """Time cases, each in turn, after one call of each that does not count; a row of each.
+
+    A row has the median of the repeats, for a unit of work and whole, and their spread, as a share.
 
     A clock of the process does not run while others do, but runs twice as fast for two threads.
 
     Examples
     --------
     >>> one, = in_turns([("nothing", "call", 1, lambda: None)], 3)
-    >>> one.name, len(one.seconds)
-    ('nothing', 3)
+    >>> one["case"], one["unit"]
+    ('nothing', 'call')
     """
     at_least_one(repeats=repeats)
     calls = [call for *_, call in cases]
     for call in calls:
         call()
-    taken = zip(cases, take_turns(calls, repeats), strict=True)
-    return tuple(Timing(name, unit, work, seconds) for (name, unit, work, _), seconds in taken)
-
-
-def as_row(timing: Timing) -> dict[str, object]:
-    """A timing as plain values."""
-    spread = (max(timing.seconds) - min(timing.seconds)) / timing.median
-    return {
-        "case": timing.name, "unit": timing.unit, "ns": timing.cost,
-        "ms": 1e3 * timing.median, "spread": spread,
-    }  # fmt: skip
+    rows = list[Row]()
+    for (name, unit, work, _), s in zip(cases, take_turns(calls, repeats), strict=True):
+        median = float(np.median(s))
+        times = {"ns": 1e9 * median / work, "ms": 1e3 * median}
+        rows.append({"case": name, "unit": unit, **times, "spread": (max(s) - min(s)) / median})
+    return rows
 
 
 def answer_times(

@@ -91,7 +91,7 @@ class Kernels:
         with tempfile.TemporaryDirectory() as folder:
             made = Path(folder) / "kernels.so"
             source = Path(__file__).with_name("kernels.c")
-            words = (compiler, *_FLAGS, source, "-o", made, "-lm")
+            words: tuple[str | Path, ...] = (compiler, *_FLAGS, source, "-o", made, "-lm")
             done = subprocess.run(words, check=False, capture_output=True, text=True)  # noqa: S603
             if done.returncode:
                 why = done.stderr.strip().splitlines()[-1]

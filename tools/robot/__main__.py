@@ -31,6 +31,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -121,12 +122,8 @@ def _node(name: str) -> tuple[Any, Any]:
 
 def _play(given: argparse.Namespace) -> int:
     log, grids = _given(given)
-    names = (
-        "lasers", "cloud", "best_effort", "disturb", "freeze", "clock", "first", "count", "times",
-        "amcl",
-    )  # fmt: skip
     ros, node = _node("player")
-    how = Playing(**{name: getattr(given, name) for name in names})
+    how = Playing(**{each.name: getattr(given, each.name) for each in fields(Playing)})
     player = Player(ros, node, how, write_to(given.write))
     if grids and not given.no_map:
         player.show(grids[0])
