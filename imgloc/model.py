@@ -299,6 +299,11 @@ class LaserScan(ByContent):
         """Seconds from the first reading to the last."""
         return abs(self.time_increment) * max(0, len(self.ranges) - 1)
 
+    @property
+    def mount(self) -> Pose2D:
+        """Pose of the sensor on the robot; where `T_base_laser` is unknown, they are one."""
+        return self.T_base_laser or Pose2D(0.0, 0.0)
+
     def straightened(self, velocity: FloatArray, *, backward: bool = False) -> "LaserScan":
         """The scan as a robot that stands where it was at the first reading records it.
 
@@ -321,7 +326,7 @@ class LaserScan(ByContent):
             return self
         pace = -self.time_increment if backward else self.time_increment
         t = pace * np.arange(len(self.ranges))
-        mount = self.T_base_laser or Pose2D(0.0, 0.0)
+        mount = self.mount
         turn, half = velocity[2] * t, np.exp(0.5j * velocity[2] * t)
         seen = self.valid
         # Points of the robot's plane as complex numbers: a turn is a product.

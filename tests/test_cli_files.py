@@ -9,6 +9,7 @@ from command import MAPS, call
 from imgloc.cli.inputs import check_target, files_of
 from imgloc.cli.options import find_map
 from imgloc.errors import ConfigError, OutputError
+from imgloc.io.calibration import calibration_path
 
 
 @pytest.fixture
@@ -87,11 +88,12 @@ def test_targets(tmp_path: Path) -> None:
         check_target(tmp_path / "d.jpg", ".png", force=True)
 
 
-def test_a_map_is_a_yaml_and_its_image(tmp_path: Path) -> None:
-    assert files_of(MAPS / "curved.yaml") == [MAPS / "curved.yaml", MAPS / "curved.png"]
-    assert files_of(tmp_path / "a.png") == [tmp_path / "a.png"]
+def test_a_map_is_a_yaml_its_image_and_its_calibration(tmp_path: Path) -> None:
+    own = calibration_path(MAPS / "curved.yaml")
+    assert files_of(MAPS / "curved.yaml") == [MAPS / "curved.yaml", own, MAPS / "curved.png"]
     (tmp_path / "bad.yaml").write_text("image: [")
-    assert files_of(tmp_path / "bad.yaml") == [tmp_path / "bad.yaml"]
+    for name in ("a.png", "bad.yaml"):
+        assert files_of(tmp_path / name) == [tmp_path / name, calibration_path(tmp_path / name)]
 
 
 def test_a_name_is_that_of_a_file_before_that_of_a_bundled_map(

@@ -12,12 +12,9 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 
-from tools.script import one_of
-
-Until = Callable[[], bool]  # whether the crowd goes home
 _SCAN = {"ranges": [2.0] * 90, "angle_min": -1.5, "angle_increment": 0.03}
 
 
@@ -29,16 +26,14 @@ class Crowd:
         self.name, _, port = host.partition(":")
         self.port, self.stop = int(port), threading.Event()
 
-    def run(self, seconds: float, only: Sequence[str] = ()) -> None:
-        """Be there for some time, all or some of them."""
-        members: dict[str, Callable[[], None]] = {
-            "heads": partial(self.slow_heads, 30), "bodies": partial(self.half_bodies, 30),
-            "readers": partial(self.mute_readers, 20), "robots": partial(self.silent_robots, 16),
-            "bursts": self.bursts, "large": self.large_bodies, "images": self.large_regions,
-            "regions": self.regions,
-        }  # fmt: skip
-        one_of(only, members)
-        threads = [threading.Thread(target=members[name], daemon=True) for name in only or members]
+    def run(self, seconds: float) -> None:
+        """Be there for some time."""
+        members = (
+            partial(self.slow_heads, 30), partial(self.half_bodies, 30),
+            partial(self.mute_readers, 20), partial(self.silent_robots, 16),
+            self.bursts, self.large_bodies, self.large_regions, self.regions,
+        )  # fmt: skip
+        threads = [threading.Thread(target=member, daemon=True) for member in members]
         for thread in threads:
             thread.start()
         self.stop.wait(seconds)
@@ -162,6 +157,6 @@ class Crowd:
             self._ask("POST", "/v1/localize?region=1,1,4,1,4,4,1,4", body)
 
 
-def be_there(host: str, seconds: float, only: Sequence[str] = ()) -> None:
+def be_there(host: str, seconds: float) -> None:
     """Be a crowd, in a process of its own."""
-    Crowd(host).run(seconds, only)
+    Crowd(host).run(seconds)

@@ -28,7 +28,7 @@ from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.evaluation import Share, share
+from imgloc.lab.evaluation import share
 from imgloc.live.policy import LastPose
 from imgloc.live.settings import Settings
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
@@ -304,7 +304,7 @@ def measure(
     *,
     searches: "Searches | None" = None,
     advance: Callable[[], None] = lambda: None,
-) -> "SequenceSummary":
+) -> dict[str, Any]:
     """Measure the filter called `name` on a log with poses and odometry.
 
     `searches` has the searches of earlier measurements of the same scans. `advance` is called after
@@ -321,31 +321,6 @@ def measure(
         into.append(drive(features, part, robot, trials.every, found, jump))
         advance()
     return summarise_runs(runs, kidnaps)
-
-
-@dataclass(frozen=True)
-class SequenceSummary:
-    """Results of a filter on one log."""
-
-    runs: int
-    right: dict[str, Share]  #: right after so many metres
-    stays: dict[str, Share]  #: and at every later moment of the run
-    published: dict[str, Share]  #: right and ``unique`` after so many metres
-    enm: Share  #: success by ENM-MCL's rule, among the runs that are long enough
-    f3loc: dict[str, Share]  #: success by F3Loc's rule, within so many metres
-    seconds: float  #: median time until ``unique`` and right for good, seconds
-    metres: float  #: median way until ``unique`` and right for good, metres
-    #: root mean square error of ``unique`` right poses after that: metres, radians
-    rmse: tuple[float, float]
-    inside: Share  #: ``unique`` poses whose 95 % region holds the true pose, of all runs
-    wrong: float  #: seconds ``unique`` and more than :data:`WRONG` off, of all runs
-    wrong_moments: int
-    total: float  #: seconds of all runs
-    falls: tuple[float, float]  #: times a minute, if not kidnapped, that unique, localized end
-    held: float  #: seconds localized and more than :data:`WRONG` off, of all runs
-    kidnapped: Share  #: recovered by JAIR's rule
-    kidnap_metres: float  #: median until right for good after that
-    speed: float  #: seconds of log for a second of one processor
 
 
 def _after(run: Run, metres: float) -> int | None:
@@ -369,14 +344,14 @@ def recovered(run: Run) -> float | None:
     return None
 
 
-def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> SequenceSummary:
-    """Summarise runs, at least one, and kidnappings."""
+def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> dict[str, Any]:
+    """Summarise runs, at least one, and kidnappings, in plain values: those of JSON."""
     right, stays, published = {}, {}, {}
     for metres in AT:
         at = [(run, k) for run in runs if (k := _after(run, metres)) is not None]
-        right[f"{metres:g}"] = share(bool(run.right[k]) for run, k in at)
-        stays[f"{metres:g}"] = share(bool(run.right[k:].all()) for run, k in at)
-        published[f"{metres:g}"] = share(bool(run.right[k] and run.unique[k]) for run, k in at)
+        right[f"{metres:g}"] = _of(bool(run.right[k]) for run, k in at)
+        stays[f"{metres:g}"] = _of(bool(run.right[k:].all()) for run, k in at)
+        published[f"{metres:g}"] = _of(bool(run.right[k] and run.unique[k]) for run, k in at)
     rmse, after = ENM
     long = [run.error[run.seconds >= after, 0] for run in runs if run.seconds[-1] > after]
     frames, radii = F3LOC
@@ -398,28 +373,39 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
     total = float(sum(run.seconds[-1] for run in everything))
     ends = [[(np.diff(v) < 0).sum() for v in (run.unique, run.holds)] for run in runs]
     minutes = max(1e-9, sum(run.seconds[-1] for run in runs) / 60)
-    return SequenceSummary(
-        runs=len(runs),
-        right=right,
-        stays=stays,
-        published=published,
-        enm=share(bool(np.sqrt(np.mean(np.square(e))) <= rmse) for e in long),
-        f3loc={f"{radius:g}": share(bool((e <= radius).all()) for e in last) for radius in radii},
-        seconds=_median([float(run.seconds[k]) for run, k in done]),
-        metres=_median([float(run.metres[k]) for run, k in done]),
-        rmse=tuple(np.sqrt(np.mean(np.square(whole), axis=0)).tolist()),
-        inside=share(
+    return {
+        "runs": len(runs),
+        "right": right,  # after so many metres
+        "stays": stays,  # and at every later moment of the run
+        "published": published,  # right and ``unique`` after so many metres
+        # Success by ENM-MCL's rule, among the runs that are long enough; by F3Loc's, within metres.
+        "enm": _of(bool(np.sqrt(np.mean(np.square(e))) <= rmse) for e in long),
+        "f3loc": {f"{radius:g}": _of(bool((e <= radius).all()) for e in last) for radius in radii},
+        # Medians until ``unique`` and right for good, seconds and metres.
+        "seconds": _median([float(run.seconds[k]) for run, k in done]),
+        "metres": _median([float(run.metres[k]) for run, k in done]),
+        # Root mean square error of ``unique`` right poses after that: metres, radians.
+        "rmse": tuple(np.sqrt(np.mean(np.square(whole), axis=0)).tolist()),
+        # ``unique`` poses whose 95 % region holds the true pose, of all runs.
+        "inside": _of(
             bool(square <= REGION) for run in everything for square in run.square[run.unique > 0]
         ),
-        wrong=float(sum(span[b].sum() for span, b in zip(spans, bad, strict=True))),
-        wrong_moments=int(sum(b.sum() for b in bad)),
-        total=total,
-        falls=tuple((np.sum(ends, axis=0) / minutes).tolist()),
-        held=float(sum(span[b].sum() for span, b in zip(spans, held, strict=True))),
-        kidnapped=share(b is not None for b in back),
-        kidnap_metres=_median([b for b in back if b is not None]),
-        speed=total / max(1e-9, sum(run.cost for run in everything)),
-    )
+        # Seconds ``unique`` and more than :data:`WRONG` off, of all runs, and such moments.
+        "wrong": float(sum(span[b].sum() for span, b in zip(spans, bad, strict=True))),
+        "wrong_moments": int(sum(b.sum() for b in bad)),
+        "total": total,  # seconds of all runs
+        # Times a minute, if not kidnapped, that unique, localized end.
+        "falls": tuple((np.sum(ends, axis=0) / minutes).tolist()),
+        # Seconds localized and more than :data:`WRONG` off, of all runs.
+        "held": float(sum(span[b].sum() for span, b in zip(spans, held, strict=True))),
+        "kidnapped": _of(b is not None for b in back),  # recovered by JAIR's rule
+        "kidnap_metres": _median([b for b in back if b is not None]),  # until right for good
+        "speed": total / max(1e-9, sum(run.cost for run in everything)),  # log for one processor
+    }
+
+
+def _of(hits: Iterable[bool]) -> dict[str, Any]:
+    return vars(share(hits))
 
 
 def for_good(good: FloatArray) -> FloatArray:

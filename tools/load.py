@@ -267,7 +267,7 @@ def beside_a_crowd(host: str, pid: int, asks: Sequence[Ask], args: argparse.Name
     alone, beside = Clients(host, asks), Clients(host, asks)
     alone.run(pid, min(_ALONE, args.crowd), args.clients)
     alone.say("alone")
-    there = (host, args.crowd + 2, args.only)
+    there = (host, args.crowd + 2)
     crowd = get_context("spawn").Process(target=be_there, args=there, daemon=True)
     crowd.start()
     time.sleep(2)
@@ -289,7 +289,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--map", default="visibility", help="name of a bundled map")
     parser.add_argument("--growth", type=float, default=16.0, metavar="MIB")
     parser.add_argument("--crowd", type=float, default=0.0, metavar="SECONDS")
-    parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="members of it")
     parser.add_argument("--most", type=float, default=712.0, metavar="MIB", help="beside a crowd")
     near = "each request says where the scan is, within 2 m: a shorter search"
     parser.add_argument("--near", action="store_true", help=near)

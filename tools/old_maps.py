@@ -15,53 +15,42 @@ with noise.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
+from imgloc import Options, ScanSet, load_map, load_scans, make_filter
 from imgloc.filters.follow import robot_poses
-from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.calibrate import fit_along
 from imgloc.model import Pose2D
-from imgloc.options import TOLERANCES, Chosen, Every, Shared
+from imgloc.options import Chosen, Every, Shared
 from imgloc.pipeline import prepare
 from tools.filters import Run, Searches, drive, driven, from_starts
+from tools.plans.measure import Row, judge
 from tools.recorded import logs_of
 from tools.script import at_least_one, ended, parser_of, show, table_lines
 
 RIGHT = 1.0  # metres
-HIT = TOLERANCES[-1]  # of one scan
 FOUND = 30.0  # metres driven after which a robot should be found
 PIECE = 35.0  # metres of a run from anywhere
 ONE = "set | walls | scans | first | unique | unique and wrong | no-match | lists the pose"
 HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m"
 
 
-@dataclass(frozen=True)
-class Row:
-    """What became of some runs."""
-
-    log: str
-    start: str
-    runs: list[Run]
-
-    @property
-    def cells(self) -> Iterator[str]:
-        """The cells of a table."""
-        near = np.concatenate([run.error[:, 0] <= RIGHT for run in self.runs])
-        unique = np.concatenate([run.unique > 0 for run in self.runs])
-        last = [run.error[run.metres >= FOUND, 0] for run in self.runs]
-        found = [errors[0] <= RIGHT for errors in last if len(errors)]
-        yield from (self.log, self.start, f"{near.mean():.2f}", f"{unique.mean():.2f}")
-        yield f"{np.count_nonzero(unique & ~near)} of {len(near)}"
-        yield f"{sum(found)} of {len(found)}"
+def row_of(log: str, start: str, runs: list[Run]) -> tuple[str, ...]:
+    """The cells of a table: what became of some runs."""
+    near = np.concatenate([run.error[:, 0] <= RIGHT for run in runs])
+    unique = np.concatenate([run.unique > 0 for run in runs])
+    last = [run.error[run.metres >= FOUND, 0] for run in runs]
+    found = [errors[0] <= RIGHT for errors in last if len(errors)]
+    wrong = f"{np.count_nonzero(unique & ~near)} of {len(near)}"
+    shares = f"{near.mean():.2f}", f"{unique.mean():.2f}"
+    return log, start, *shares, wrong, f"{sum(found)} of {len(found)}"
 
 
-def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:
+def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[tuple[str, ...]]:
     """The rows of a set."""
     features, options = prepare(load_map(folder / "map.yaml"), folder.name), Options()
     if calibrated:
@@ -73,9 +62,10 @@ def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:
         known = Searches(features, options)  # its clock; the tracker searches by itself
         if poses is not None:
             begin = Pose2D(*poses[0])
-            yield Row(name, "true", [drive(features, scans, make(), Every(), known, start=begin)])
+            run = drive(features, scans, make(), Every(), known, start=begin)
+            yield row_of(name, "true", [run])
         runs = [drive(features, p, make(), Every(), known) for p in pieces_of(scans, starts)]
-        yield Row(name, f"{starts} from anywhere", runs)
+        yield row_of(name, f"{starts} from anywhere", runs)
 
 
 def pieces_of(scans: ScanSet, starts: int) -> Iterator[ScanSet]:
@@ -91,16 +81,9 @@ def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...
     features = prepare(grid, folder.name)
     walls = {"as drawn": Shared(), "calibrated": fit_along(features, [recorded]).shared}
     for name, shared in walls.items():
-        options, found = Options(shared=shared), []
-        for scan, pose in some.with_poses():
-            answer = localize(features, scan, options)
-            errors = pose_errors(poses_of(answer.hypotheses), Pose2D(*pose))
-            near = np.all(errors <= (HIT.position, HIT.heading), axis=1)
-            found.append((bool(near[:1].any()), bool(near.any()), answer.verdict))
-        first, listed, verdicts = zip(*found, strict=True)
-        wrong = sum(v == "unique" and not hit for hit, _, v in found)
-        sure, none = (verdicts.count(word) for word in ("unique", "no-match"))
-        yield folder.name, name, len(some), sum(first), sure, wrong, none, sum(listed)
+        judge(grid, some, row := Row(folder.name, name), options=Options(shared=shared))
+        counts = row.scans, row.right, row.unique, row.wrong, row.nothing, row.among
+        yield folder.name, name, *counts
 
 
 def main() -> int:
@@ -120,7 +103,7 @@ def main() -> int:
             return show(table_lines(ONE, chain.from_iterable(ones)))
         at_least_one(starts=given.starts)
         how = {"calibrated": given.calibrated}
-        rows = (row.cells for f in given.folders for row in rows_of(f, given.starts, **how))
+        rows = (row for f in given.folders for row in rows_of(f, given.starts, **how))
         return show(table_lines(HEAD, rows))
 
     return ended("tools.old_maps", work)

@@ -10,7 +10,7 @@ log over its map. *Localized* is what ``~/status`` of ``imgloc node`` says.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -120,7 +120,7 @@ def measure_log(
         finally:  # who stops it goes on from there another day
             searches.save()
         about = {"map": folder.name, "filter": case.name}
-        yield about | asdict(summary) | {"odometry": odometry}
+        yield about | summary | {"odometry": odometry}
 
 
 def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:

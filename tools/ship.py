@@ -1,7 +1,6 @@
 """Is what people install whole? The wheel, the ament package, the container, systemd's unit.
 
     python -m tools.ship                # needs pip install -e '.[ship]'
-    python -m tools.ship --keep dist    # also keeps the wheel and the sdist in a new folder
 
 Builds an sdist of the checkout and a wheel from the sdist, compares the files in the wheel with
 those under version control, installs the wheel in an empty environment and runs it there. Builds
@@ -153,19 +152,13 @@ def verify_unit() -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check wheel, container and unit; 1 if something is wrong."""
     parser = parser_of("tools.ship", __doc__)
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the wheel and the sdist")
-    given = parser.parse_args(arguments)
-    if given.keep is not None and given.keep.exists():
-        parser.error(f"--keep: {given.keep} exists, expected a new folder")
+    parser.parse_args(arguments)
     try:
         with TemporaryDirectory() as folder:
-            built = Path(folder, "dist")
-            wheel = build(built)
+            wheel = build(Path(folder, "dist"))
             print(f"{wheel.name}: has all files, {wheel.stat().st_size / 1e6:.1f} MB")
             install(wheel, Path(folder))
             print(f"{wheel.name}: the demo and all bundled maps work in an empty environment")
-            if given.keep is not None:
-                shutil.copytree(built, given.keep)
         print(f"{AMENT.name}: {build_ament()}")
         print(f"{DOCKERFILE.name}: {lint_dockerfile()}")
         print(f"container: {build_container()}")

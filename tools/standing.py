@@ -2,7 +2,6 @@
 
     python -m tools.standing                    # 200 scans that one look cannot settle
     python -m tools.standing -n 20 --seed 1     # fewer
-    python -m tools.standing -n 20 --each       # a line a scan, too
 
 Bundled worlds are the maps. The robot is in their twins: half of the furniture gone, boxes that
 have come, one in 30 square metres. Scans count whose answer alone is ``ambiguous``, or ``unique``
@@ -54,16 +53,6 @@ class Outcome:
     metres: float  #: driven until the first pose; NaN if there was none
     wrong: int  #: poses published along the way that are wrong
     bound: float  #: metres driven until the first pose on the map as the building is now
-    mass: tuple[float, float]  #: after 3 m: of the best place, and of the true one
-
-    @property
-    def line(self) -> str:
-        """It in words."""
-        best, true = self.mass
-        return (
-            f"{self.world}: told after {self.metres:.1f} m, {self.bound:.1f} m on the true map; "
-            f"after {SOON:g} m the best place has {best:.2f}, the true one {true:.2f}"
-        )
 
 
 def wrong(pose: Pose2D | None, truth: FloatArray) -> bool:
@@ -91,13 +80,6 @@ def looks(features: MapFeatures, scans: Sequence[LaserScan], odom: FloatArray) -
 def first_of(moments: Sequence[Moment]) -> float:
     """Metres driven until the first pose is published; NaN if none is."""
     return next((STEP * k for k, one in enumerate(moments) if one.pose is not None), np.nan)
-
-
-def masses(moment: Moment, truth: FloatArray) -> tuple[float, float]:
-    """Mass of the best place, and of the places that are not wrong."""
-    belief = moment.belief
-    right = [not wrong(Pose2D(*pose), truth) for pose in belief.poses.tolist()]
-    return float(belief.mass[:1].sum()), float(belief.mass[right].sum())
 
 
 def way_from(grid: OccupancyGrid, pose: FloatArray, seed: int) -> FloatArray | None:
@@ -144,15 +126,28 @@ def outcomes(world: str, count: int, seed: int) -> Iterator[Outcome]:
         odom = noisy_odometry(turn, np.random.default_rng(seed + k))
         around = list(looks(features, seen(twin, turn, 8 * seed + k), odom))
         odom = noisy_odometry(path, np.random.default_rng(seed + k))
-        drive, soon = seen(twin, path, 9 * seed + k), round(SOON / STEP)
+        drive = seen(twin, path, 9 * seed + k)
         along, best = (list(looks(f, drive, odom)) for f in (features, now))
         yield Outcome(
             world, answer.verdict, sum(m.pose is not None for m in told), alone(answer),
             alone(answer) and off, sum(m.pose is not None for m in around),
             sum(wrong(m.pose, truth) for m, truth in zip(around, turn, strict=True)),
             first_of(along), sum(wrong(m.pose, t) for m, t in zip(along, path, strict=True)),
-            first_of(best), masses(along[soon], path[soon]),
+            first_of(best),
         )  # fmt: skip
+
+
+def row_of(world: str, some: Sequence[Outcome]) -> tuple[object, ...]:
+    """The cells of the table for a world."""
+    metres, bound = np.array([(o.metres, o.bound) for o in some]).reshape(-1, 2).T
+    known = metres[np.isfinite(metres)]
+    unique, told = sum(o.verdict == "unique" for o in some), sum(o.standing > 0 for o in some)
+    alone = f"{sum(o.alone for o in some)}, {sum(o.alone_wrong for o in some)}"
+    turned = f"{sum(o.turned > 0 for o in some)}, {sum(o.turned_wrong > 0 for o in some)}"
+    soon = [f"{np.mean(way <= SOON):.2f}" if some else "-" for way in (metres, bound)]
+    median = f"{np.median(known):.1f}" if len(known) else "-"
+    missed = sum(o.wrong > 0 for o in some)
+    return world, len(some), unique, told, alone, turned, len(known), missed, *soon, median
 
 
 def main() -> int:
@@ -160,7 +155,6 @@ def main() -> int:
     parser = parser_of("tools.standing", __doc__)
     parser.add_argument("-n", type=int, default=200, help="scans (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--each", action="store_true", help="print a line a scan")
     given = parser.parse_args()
     at_least_one(n=given.n)
     each, every = -(-given.n // len(WORLDS_ASKED)), list[Outcome]()
@@ -168,29 +162,9 @@ def main() -> int:
         for world in WORLDS_ASKED:
             for outcome in outcomes(world, each, given.seed):
                 every.append(outcome)
-                if given.each:
-                    print(outcome.line, flush=True)
                 advance()
-    rows = []
-    for world in (*WORLDS_ASKED, "all"):
-        some = [o for o in every if world in (o.world, "all")]
-        metres = np.array([o.metres for o in some])
-        known = metres[np.isfinite(metres)]
-        rows.append(
-            (
-                world,
-                f"{len(some)}",
-                f"{sum(o.verdict == 'unique' for o in some)}",
-                f"{sum(o.standing > 0 for o in some)}",
-                f"{sum(o.alone for o in some)}, {sum(o.alone_wrong for o in some)}",
-                f"{sum(o.turned > 0 for o in some)}, {sum(o.turned_wrong > 0 for o in some)}",
-                f"{len(known)}",
-                f"{sum(o.wrong > 0 for o in some)}",
-                f"{np.mean(metres <= SOON):.2f}" if len(some) else "-",
-                f"{np.mean([o.bound <= SOON for o in some]):.2f}" if len(some) else "-",
-                f"{np.median(known):.1f}" if len(known) else "-",
-            )
-        )
+    groups = {world: [o for o in every if o.world == world] for world in WORLDS_ASKED}
+    rows = [row_of(*group) for group in (groups | {"all": every}).items()]
     head = (
         "world | scans | alone unique and wrong | told while standing | --standing: told, wrong | "
         "told by a turn, wrong | told on the way | wrong | within 3 m | on the true map | median m"

@@ -53,7 +53,6 @@ from imgloc.search.weigh import settle
 #: What a ray can be, in the order in which they are counted.
 KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")
 
-_NEAR = EvidenceModel.displaced  # points so little farther than the nearest are asked, too
 _SIDE = 1400  # cells that the picture of a likelihood has at most along a side
 _WORK = 10**10  # readings x headings x cells of the correlation that is drawn, at most
 _CHUNK = 1 << 24  # cells of its stack at a time
@@ -269,7 +268,7 @@ def faced(
     ray, point, away = pairs["i"], pairs["j"], pairs["v"]
     nearest = np.full(len(end), np.inf)
     np.minimum.at(nearest, ray, away)
-    close = away <= nearest[ray] + _NEAR
+    close = away <= nearest[ray] + EvidenceModel.displaced  # points so near to it are asked, too
     ray, point = ray[close], point[close]
     normal = surface.alpha[point]
     # A surface along the ray may turn away by so much that none is followed any more.

@@ -238,7 +238,7 @@ def _started(
     answer = localize(features, scans[0], options)
     if answer.verdict != "unique" or answer.pose is None:
         return None
-    at = base_of(answer.pose, scans[0].T_base_laser or Pose2D(0.0, 0.0))
+    at = base_of(answer.pose, scans[0].mount)
     away, turned = difference(at, start)
     if away <= RADIUS and turned <= TOLERANCE:
         return None
@@ -446,7 +446,7 @@ def _mended(way: Way, scans: ScanSet, given: Given | None) -> Cause:
         advice = (given or Given()).advice(both.strip())
         return replace(one, text=f"{one.text}, and {more}", options=both, advice=advice)
     view = math.degrees(float(np.ptp(scans[0].angles)))
-    mount = scans[0].T_base_laser or Pose2D(0.0, 0.0)
+    mount = scans[0].mount
     yaw = math.degrees(Pose2D(0.0, 0.0, mount.theta + way.value).theta)
     unit = "s" if scans.stamps is not None else "scans"
     stated = given is not None and given.view_of(scans[0]) is not None
@@ -463,9 +463,8 @@ def _mended(way: Way, scans: ScanSet, given: Given | None) -> Cause:
 def sensor_poses(scans: ScanSet) -> FloatArray:
     """Poses (N, 3) of the sensors in the odometry's frame."""
     assert scans.odom is not None
-    mounts = [scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans]
-    pairs = zip(scans.odom, mounts, strict=True)
-    return np.array([[*compose(Pose2D(*pose), mount)] for pose, mount in pairs])
+    pairs = zip(scans.odom, scans.scans, strict=True)
+    return np.array([[*compose(Pose2D(*pose), scan.mount)] for pose, scan in pairs])
 
 
 def _about_sources(log: Recording, findings: list[Cause]) -> None:

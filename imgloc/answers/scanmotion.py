@@ -128,7 +128,7 @@ def odd_laser(scans: ScanSet, odom: FloatArray) -> tuple[str, float, float, str]
             continue
         most = max(most, here)
         if here < POOR:
-            yaw = (own[0].T_base_laser or Pose2D(0.0, 0.0)).theta
+            yaw = own[0].mount.theta
             ways = list[tuple[float, str]]()
             for turn, hangs in product(np.arange(0.0, math.tau, _STEP).tolist(), (False, True)):
                 right = math.degrees(Pose2D(0.0, 0.0, yaw + turn).theta)
@@ -174,12 +174,13 @@ def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
 def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
     """Faults that are tried, the likeliest first."""
     turns = math.pi, math.pi / 2, -math.pi / 2
+    views = [a / b for a, b in permutations(VIEWS, 2)]  # one taken for the other
     ways = [
         Way("flipped", scan=lambda s: s.flipped),
         Way("odometry-turn", odom=lambda o: o * (1, 1, -1)),
         *(Way("units", f, scan=partial(LaserScan.scaled, factor=f)) for f in (0.001, 0.01)),
         *(Way("mounting", turn, scan=partial(_turned, turn=turn)) for turn in turns),
-        *(Way("view", f, scan=partial(widened, factor=f)) for f in _mistaken()),
+        *(Way("view", f, scan=partial(widened, factor=f)) for f in views),
     ]
     times, unit = np.arange(len(odom), dtype=float), 1.0
     if scans.stamps is not None and np.isfinite(scans.stamps).all():
@@ -189,11 +190,6 @@ def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
         unit = float(np.median(np.diff(times)))
     shifts = [sign * late * unit for late in _LAGS for sign in (1, -1)]
     return ways + [Way("lag", s, odom=partial(_shifted, times=times, shift=s)) for s in shifts]
-
-
-def _mistaken() -> list[float]:
-    """Factors between two fields of view, one of which is taken for the other."""
-    return [a / b for a, b in permutations(VIEWS, 2)]
 
 
 def _two(ways: Sequence[Way]) -> list[Way]:
@@ -209,7 +205,7 @@ def _two(ways: Sequence[Way]) -> list[Way]:
 def _turned(scan: LaserScan, turn: float, *, hangs: bool = False) -> LaserScan:
     """The scan of a sensor that is turned by so many radians, and hangs upside down besides."""
     scan = scan.flipped if hangs else scan
-    mount = scan.T_base_laser or Pose2D(0.0, 0.0)
+    mount = scan.mount
     return replace(scan, T_base_laser=Pose2D(mount.x, mount.y, mount.theta + turn))
 
 
@@ -282,9 +278,7 @@ def overlap(before: LaserScan, after: LaserScan, step: Pose2D, unit: float = 1.0
     one, other = (scan_xy(scan)[scan.valid] for scan in (before, after))
     if min(len(one), len(other)) < LEAST:
         return math.nan
-    mount = before.T_base_laser or Pose2D(0.0, 0.0)
-    back = after.T_base_laser or Pose2D(0.0, 0.0)
-    to = compose(compose(inverse(mount), step), back)
+    to = compose(compose(inverse(before.mount), step), after.mount)
     middle = float(np.median(np.hypot(*one.T)))
     if not middle > 0:
         return math.nan

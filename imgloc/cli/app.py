@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
 from typer.main import get_command
 
 from imgloc.__about__ import __version__
@@ -223,21 +222,6 @@ def command_of(name: str) -> Callable[..., None]:
     return found
 
 
-def _class_of(name: str) -> tuple[type[TyperCommand], str]:
-    """The class of a command, and what its help has before the examples."""
-    from imgloc.cli.command import Command
-
-    if name == "localize":
-        from imgloc.cli.localize import FORMATS
-
-        return Command, FORMATS
-    if name == "node":
-        from imgloc.cli.node import RosCommand
-
-        return RosCommand, ""
-    return Command, ""
-
-
 def examples(*lines: str, more: str = "") -> str:
     """Format examples for the end of a help text, one a line, and `more` before, as it is."""
     text = "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
@@ -250,6 +234,7 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
     To make all options takes a while, and no line needs more than its own; None is any line.
     """
     named = None if words is None else frozenset(words)
+    from imgloc.cli.command import Command, command, with_options_of_program
     from imgloc.cli.program import Kept, Resources, Written
 
     shared: list[Any] = [Written, Resources, Kept]
@@ -273,8 +258,6 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
     def made(name: str) -> Callable[..., None]:
         if named is not None and name not in named:
             return _unmade
-        from imgloc.cli.command import command
-
         return command(command_of(name), *shared)
 
     for group, commands in _GROUPS.items():
@@ -282,11 +265,11 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             if (run := made(name)) is _unmade:
                 groups[group].command(name, help=about)(run)
                 continue
-            kind, more = _class_of(name)
+            # The file of a command may have a class of its own, and what comes before examples.
+            file = sys.modules[run.__module__]
+            kind, more = getattr(file, "RosCommand", Command), getattr(file, "FORMATS", "")
             groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
-    from imgloc.cli.command import with_options_of_program
-
     start = with_options_of_program(root, *shared)
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(start)
     app.add_typer(

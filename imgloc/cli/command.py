@@ -11,7 +11,7 @@ import contextlib
 import functools
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
@@ -184,29 +184,28 @@ def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
             values |= {name: typed for name, hint in aside.items() if hint == Typed}
             function(**values)
 
-    signature = inspect.Signature(parameters)
-    run.__signature__ = signature  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
-    run.of_program = noticed  # type: ignore[attr-defined]
+    _sign(run, parameters, noticed)
     return run
 
 
 def with_options_of_program(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
-    """Give a function, which is called before each command, the options of these classes."""
+    """Return what takes the options of a function and of these classes, for all commands."""
     own = list(inspect.signature(function).parameters.values())
     some = [(_Part("", (), kind), field) for kind in kinds for field in declared(kind)]
     fields = [(part, field) for part, field in some if field.option]
 
-    def run(**raw: Any) -> None:
-        texts = {field.flag: raw.pop(_key(part, field)) for part, field in fields}
-        given = {flag: text for flag, text in texts.items() if text not in (None, [])}
-        raw.pop(_CONTEXT.name).meta[SHARED] = given
-        function(**raw)
+    def run(**_: Any) -> None: ...
 
-    signature = inspect.Signature([*own, *(_parameter(*one) for one in fields), _CONTEXT])
-    run.__signature__ = signature  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
+    parameters = [*own, *(_parameter(*one) for one in fields)]
+    _sign(run, parameters, {field.flag for _, field in fields})
     return run
+
+
+def _sign(run: Any, parameters: Sequence[inspect.Parameter], of_program: set[str]) -> None:
+    """Give a function what Typer reads; options `of_program` are told apart by :class:`Shares`."""
+    run.__signature__ = inspect.Signature(parameters)
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    run.of_program = of_program
 
 
 def _words_of(field: Declared, text: Any) -> list[str]:

@@ -14,13 +14,13 @@ import numpy as np
 from imgloc.cli.console import LOG, progress
 from imgloc.cli.options import Kept, MapImages
 from imgloc.doors import behind
-from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.errors import ConfigError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.cache import cache_folder, cache_limit
 from imgloc.io.calibration import calibration_path, load_calibrations
+from imgloc.io.contents import files_of as files_of
 from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.folders import find_maps
-from imgloc.io.mapyaml import YAML_ENDINGS, image_named
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import RADIUS, TOLERANCE, Chosen, Known, Logs, Mounting, Options, Shared
 from imgloc.runs.jobs import Item
@@ -71,15 +71,6 @@ def item_of(map_path: Path, scans: Path | None = None) -> Item:
     where = display(map_path)
     said = None if scans is None else name_of(scans)
     return Item(where, said, ((where, map_path),), scans)
-
-
-def files_of(map_path: Path) -> list[Path]:
-    """The files that a map is read from: its YAML and the image that this names, or an image."""
-    files = [map_path]
-    if map_path.suffix.lower() in YAML_ENDINGS:
-        with contextlib.suppress(MapError):  # said when the map is loaded
-            files.append(image_named(map_path))
-    return files
 
 
 def check_target(
@@ -195,7 +186,7 @@ def aged_along(
     """
     seen = ((scans[m.index], m.pose) for m in moments if m.pose is not None and len(scans))
     return aged(grid, [
-        (scan.scaled(shared.scale), compose(pose, scan.T_base_laser or Pose2D(0.0, 0.0)))
+        (scan.scaled(shared.scale), compose(pose, scan.mount))
         for scan, pose in seen
     ], shared)  # fmt: skip
 

@@ -45,15 +45,14 @@ class Shares:
     """A command that takes options which are declared once, at the program."""
 
     def shared(self, ctx: Any) -> list[Any]:
-        """The options of the program that this command takes."""
-        noticed, root = getattr(self, "callback", None), ctx.find_root()
-        names = getattr(noticed, "of_program", ())
-        return [p for p in root.command.params if p.opts[0] in names] if root is not ctx else []
+        """The options of the program that this command takes, or that the program has for all."""
+        names = getattr(getattr(self, "callback", None), "of_program", ())
+        return [p for p in ctx.find_root().command.params if p.opts[0] in names]
 
     def get_params(self, ctx: Any) -> Any:
         """The options: its own, those of the program that it takes, and that for help."""
         own = super().get_params(ctx)  # type: ignore[misc]
-        return as_typed([*own[:-1], *self.shared(ctx), *own[-1:]])
+        return as_typed([*own[:-1], *(self.shared(ctx) if ctx.parent else ()), *own[-1:]])
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line: what an option lacks is neither an option nor a command."""

@@ -17,7 +17,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.filters.motion import compose_poses, invert_poses
 from imgloc.geometry import wrap
-from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
+from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import RADIUS, TOLERANCE, FusedOptions, Options
 from imgloc.pipeline import find_modes, find_modes_by_steps
@@ -73,9 +73,8 @@ def usable(scan: LaserScan, options: Options) -> LaserScan | None:
 
 def view_of(scan: LaserScan, options: Options) -> View:
     """Thin the readings of a scan, and look up where its sensor sits on the robot."""
-    m = scan.T_base_laser or Pose2D(0.0, 0.0)
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
-    return View(readings, np.array([m.x, m.y, m.theta]))
+    return View(readings, np.array([*scan.mount]))
 
 
 @dataclass(frozen=True)

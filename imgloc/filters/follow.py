@@ -538,8 +538,8 @@ def robot_poses(scans: ScanSet) -> FloatArray | None:
     """Known poses (N, 3) of the robot, map frame; of the sensor if its mounting is unknown."""
     if scans.poses is None:
         return None
-    mounts = (scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans)
-    return compose_poses(scans.poses, invert_poses(np.array([(m.x, m.y, m.theta) for m in mounts])))
+    mounts = np.array([[*scan.mount] for scan in scans.scans])
+    return compose_poses(scans.poses, invert_poses(mounts))
 
 
 def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:

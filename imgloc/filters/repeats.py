@@ -16,15 +16,14 @@ from imgloc.features.scanpoints import evenly
 from imgloc.filters.belief import PLACE, Belief
 from imgloc.filters.motion import compose_poses, invert_poses, stands, way_of
 from imgloc.geometry import pose_errors
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
-from imgloc.options import FusedOptions
 
 _BUFFERS = 1000  # scans of a laser that are remembered, because a driver may repeat its buffers
 # A scan is an old one again if the robot has moved by so many metres or radians, and at least such
 # a share of its readings have changed by less than so many metres, though the map expects such a
 # share to change.
-_FAR, _TURN = FusedOptions.separation
+_FAR, _TURN = PLACE
 _NEAR, _SHARE = number("follow.stale")
 _CHANGES: float = number("follow.changes")
 _LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's
@@ -148,8 +147,7 @@ def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatAr
     if not len(places):
         return True
     longer = step * max(1.0, float((np.array((_FAR, _TURN)) / np.maximum(way, 1e-9)).min()))
-    m = scan.T_base_laser or Pose2D(0.0, 0.0)
-    mount, angles = np.array([m.x, m.y, m.theta]), scan.angles[scan.valid | scan.no_return]
+    mount, angles = np.array([*scan.mount]), scan.angles[scan.valid | scan.no_return]
     angles = angles[evenly(len(angles), _FEW)]
     reach, cell = min(scan.range_max, features.grid.diagonal), features.grid.resolution
 

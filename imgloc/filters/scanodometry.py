@@ -168,8 +168,7 @@ class _Reference:
         order = np.argsort(wrap(scan.angles), kind="stable")
         near = scan.valid & (scan.ranges < self.reach)
         points = scan_points(scan.ranges[order], scan.angles[order], near[order])
-        mount = scan.T_base_laser or Pose2D(0.0, 0.0)
-        at = compose_poses(pose, np.array([mount.x, mount.y, mount.theta]))
+        at = compose_poses(pose, np.array([*scan.mount]))
         self._origin = at[:2]
         self._xy = transform_points(Pose2D(*at), points.xy)
         normal = np.column_stack((np.cos(points.alpha + at[2]), np.sin(points.alpha + at[2])))

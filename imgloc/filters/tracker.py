@@ -18,6 +18,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief
 from imgloc.filters.evidence import (
+    DEVIATION,
     GATE,
     NO_PLACES,
     Places,
@@ -40,7 +41,6 @@ from imgloc.options import (
     Bending,
     Count,
     Factor,
-    FusedOptions,
     Length,
     LogOdds,
     Metres,
@@ -67,8 +67,6 @@ class TrackerOptions(Checked):
     """Settings of the tracker."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: Count = MODES  #: largest number of components
-    births: Count = MODES  #: modes of one scan that may become components
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
     #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall, unless
@@ -84,8 +82,6 @@ class TrackerOptions(Checked):
     leak: tuple[Share, Share] = number("TrackerOptions.leak")
     #: standard deviations of the map's error that all scans share, metres and radians
     error: tuple[Metres, Radians] = number("TrackerOptions.error")
-    #: squared Mahalanobis distance up to which a mode may belong to a component
-    gate: Nats = GATE
     #: components nearer than this, metres and radians, are joined
     merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
     #: least mass of a ``unique`` component: usually, and on bent walls, where scans share errors
@@ -109,16 +105,11 @@ class TrackerOptions(Checked):
     #: metres from the scan of a search to the scan that scores its places, if the best component
     #: was unique when the search began. Each scan between them does one step of the search.
     later: Metres = number("TrackerOptions.later")
-    #: probability of being lost above which every scan is searched
-    known: Share = 1 - mass[0]
     #: nats per reading by which the misfit may exceed the usual one for the best component to stay
     #: ``unique``, and that of the scan before for the scan to be no surprise
     surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
     #: least share of a surprising scan's evidence that counts
     startle: Share = number("TrackerOptions.startle")
-    #: sudden error of odometry that a scan may reveal if its readings lack less than `fits` there,
-    #: metres and radians: wheels that slip, a heading that lags in turns
-    slip: tuple[Metres, Radians] = FusedOptions.separation
     #: odometry may turn out worse than `noise`: weight of one scan in the running estimate of its
     #: variance, and the largest factor on the variance
     learn: tuple[Share, Factor] = number("TrackerOptions.learn")
@@ -231,10 +222,10 @@ class Tracker:
         self.features = features.thinner(self.options.shared.thinner)
         self._find = find
         self._searching: _Search | None = None
-        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
-        self._mass, self._followed = np.empty(0), np.empty(0)
-        self._lost, self._resets, self._agreed, self._dark = 1.0, 0, 0, False
-        self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
+        # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
+        self._begun: tuple[FloatArray, FloatArray] | None = None
+        self._begin_again()
+        self._resets, self._dark = 0, False
         self._wrong = 1.0  # factor on the variance of odometry, as scans show it
         self._unseen = np.nan  # metres and seconds, added, since the first of some blind scans
         self._gone = Way()
@@ -247,10 +238,18 @@ class Tracker:
         self._drawn, self._walls = features, list[FloatArray]()
         self._gain = 0.0  # nats by which scans fit better with walls as others draw them
         self._trusted = 0.0  # metres driven with a unique pose
-        self._explained = np.zeros(2)  # weight of the way along which scans agreed, and of all
-        self._uncounted = 0.0  # metres that are in neither yet
-        # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
-        self._begun: tuple[FloatArray, FloatArray] | None = None
+        self._uncounted = 0.0  # metres whose scans count neither as agreeing nor at all yet
+
+    def _begin_again(self) -> None:
+        """Forget what scans said: only a given pose counts, where odometry has carried it."""
+        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
+        self._mass, self._followed, self._lost = np.empty(0), np.empty(0), 1.0
+        if self._begun is not None:
+            self._poses, self._covariance = self._begun
+            self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
+        # Scans in a row that agree; weight of the way along which scans agreed, and of all.
+        self._agreed, self._explained = 0, np.zeros(2)
 
     def _with(self, shared: Shared, options: Options) -> Options:
         """The options with an error that all readings share, and the trust that goes with it."""
@@ -262,12 +261,11 @@ class Tracker:
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
-        self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
-        self._covariance = np.diag((deviation[0], *deviation))[None] ** 2
+        spread = np.diag((deviation[0], *deviation))[None] ** 2
+        self._begun = np.array(pose, dtype=np.float64).reshape(1, 3), spread
+        self._begin_again()
         self._begun = self._poses.copy(), self._covariance.copy()
-        self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique = self._searching = None
-        self._explained, self._uncounted = np.zeros(2), 0.0
+        self._searching, self._uncounted = None, 0.0
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._lasers.place()
 
@@ -341,7 +339,7 @@ class Tracker:
         if due and self._agreed < self.how.agree[0]:
             return True  # scans have to agree, after darkness even if the robot stands still
         near = self._unsurprised(view, laser)
-        if near is None or self._lost > self.how.known:
+        if near is None or self._lost > 1 - self.how.mass[0]:
             return True
         self._follow_on()
         if len(view.readings) >= self.how.agree[1] and laser.last <= self._strange(laser):
@@ -384,7 +382,7 @@ class Tracker:
         """Pose (1, 3) where the best component settles; None if it fits abruptly worse than before.
 
         The pose is first sought within the component's covariance. If nothing fits there, it is
-        sought as far away as odometry may suddenly be off.
+        sought as far away as odometry may suddenly be off, where wheels slip or a heading lags.
         """
         best = int(np.argmax(self._mass))
         pose, spread = self._poses[best : best + 1], self._covariance[best : best + 1]
@@ -393,7 +391,7 @@ class Tracker:
         slipped = False
         surprised = misfit > min(laser.last + self.how.surprise[1], self._strange(laser))
         if surprised and self._lost < 0.5:
-            wider = spread + np.diag((self.how.slip[0], *self.how.slip)) ** 2
+            wider = spread + np.diag((DEVIATION[0], *DEVIATION)) ** 2
             other = settled(self.features, view, pose, wider)
             fit = misfit_at(self.features, view, other, self.options)
             if slipped := fit <= min(self._strange(laser), self.how.fits[1]):
@@ -418,7 +416,7 @@ class Tracker:
         new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, laser) is None
-        strange = contradicted or self._lasers.doubted or self._lost > how.known
+        strange = contradicted or self._lasers.doubted or self._lost > 1 - how.mass[0]
         due = strange or self._unsearched >= self._pause
         found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.
@@ -504,14 +502,14 @@ class Tracker:
                 self._unsearched = 0.0
             begun = _Search(self._steps(scan), view)
             if at_once or not sure:
-                return begun.places(2 * how.births)
+                return begun.places(2 * MODES)
         if begun is None:
             return NO_PLACES
         if begun.metres < how.later:
             begun.step()
             self._searching = begun
             return NO_PLACES
-        found = begun.places(how.births)
+        found = begun.places(MODES)
         return Places(settled(self.features, view, found.poses), found.spread)
 
     def _judge_walls(self, view: View, poses: FloatArray) -> bool:
@@ -562,15 +560,6 @@ class Tracker:
         faded = float(np.exp(-self._uncounted / self.how.explained[0]))
         self._explained = faded * self._explained + (1 - faded) * np.array([agrees, 1.0])
         self._uncounted = 0.0
-
-    def _begin_again(self) -> None:
-        """Forget what scans said: only a given pose counts, where odometry has carried it."""
-        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
-        self._mass, self._followed, self._lost = np.empty(0), np.empty(0), 1.0
-        if self._begun is not None:
-            self._poses, self._covariance = self._begun
-            self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique, self._agreed, self._explained = None, 0, np.zeros(2)
 
     def _steps(self, scan: LaserScan) -> Generator[None, None, Places]:
         """Search a scan: pause after each step, but not if a function replaces the search."""
@@ -631,10 +620,10 @@ class Tracker:
         square = squares(seen.poses - self._poses[:, None], spread)
         index = np.arange(known)
         near = index[self._same(self._poses, seen.poses[known : 2 * known])]
-        square[near, known + near] = np.minimum(square[near, known + near], self.how.gate)
+        square[near, known + near] = np.minimum(square[near, known + near], GATE)
         own = np.zeros(square.shape, np.bool_)
         own[index, index] = own[index, known + index] = own[:, 2 * known :] = True
-        fit = np.where(own & (square <= self.how.gate), seen.log_likelihood - square / 2, -np.inf)
+        fit = np.where(own & (square <= GATE), seen.log_likelihood - square / 2, -np.inf)
         at = np.argmax(fit, axis=1)
         return at, square[index, at] / 2
 
@@ -689,7 +678,7 @@ class Tracker:
         if given < _NOTHING:
             return
         self._resets += bool(len(self._poses)) and given > 0.5
-        new, share = new[: self.how.births], share[: self.how.births]
+        new, share = new[:MODES], share[:MODES]
         self._poses = np.concatenate((self._poses, seen.poses[new]))
         self._covariance = np.concatenate((self._covariance, self._noise(seen)[new]))
         self._mass = np.concatenate((self._mass, given * share))
@@ -708,9 +697,7 @@ class Tracker:
         """Join components that have met, drop those without mass, and sort them best first."""
         order = np.argsort(-self._mass, kind="stable")
         distance, angle = self.how.merge
-        picked, owner = separated(
-            self._poses[order], self.how.components, distance=distance, angle=angle
-        )
+        picked, owner = separated(self._poses[order], MODES, distance=distance, angle=angle)
         kept, joined = order[picked], owner >= 0
         mass, longest = np.zeros((2, len(picked)))
         np.add.at(mass, owner[joined], self._mass[order][joined])

@@ -135,8 +135,7 @@ class Watch:
         self._looked = stamp
         answer = localize(self.features, scan, self.options)
         if answer.verdict == UNIQUE:
-            mount = scan.T_base_laser or Pose2D(0.0, 0.0)
-            return self._beside(claim, base_of(answer.hypotheses[0].pose, mount), scan)
+            return self._beside(claim, base_of(answer.hypotheses[0].pose, scan.mount), scan)
         if late and held <= begun:  # else the scans since then speak for the place
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
         if held > _CHANCE:  # one scan alone outweighs no place that holds

@@ -214,7 +214,7 @@ def placed(scans: ScanSet) -> ScanSet:
     """Scans of a laser; its mount is the identity by default."""
     if scans.poses is not None or scans.odom is None:
         return scans
-    at = tuple(replace(s, T_base_laser=s.T_base_laser or Pose2D(0.0, 0.0)) for s in scans.scans)
+    at = tuple(replace(s, T_base_laser=s.mount) for s in scans.scans)
     return replace(scans, scans=at)
 
 

@@ -253,12 +253,8 @@ def lines_of(path: PathLike, most: int = MAX_LINE, *, other: str = "") -> Lines:
     return Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
 
 
-def check_lines(
-    lines: Sequence[str], name: str, most: int = MAX_LINE, off: str | None = None
-) -> list[tuple[int, str]]:
+def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[tuple[int, str]]:
     """The lines that are not blank, stripped, with their numbers from 1; ScanError for a long one.
-
-    By default all blanks are stripped `off`; tabs are also between cells, which may be empty.
 
     Each is looked at before it is cut into words, which take ten times as much memory.
     """
@@ -266,7 +262,7 @@ def check_lines(
         if len(line) > most:
             found = f"{len(line):,} characters"
             raise ScanError(f"{name}: line {i}: {found}, expected at most {most:,} for a scan")
-    return [(i, line.strip(off)) for i, line in enumerate(lines, 1) if line.strip()]
+    return [(i, s) for i, line in enumerate(lines, 1) if (s := line.strip())]
 
 
 def number_of(text: str, where: str) -> float:

@@ -35,7 +35,7 @@ from imgloc.errors import ConfigError, expect
 from imgloc.features.distance import distance_image
 from imgloc.features.scanpoints import evenly
 from imgloc.features.surface import surface_points
-from imgloc.geometry import cell_of, transform_points, transform_poses, values_at
+from imgloc.geometry import cell_of, poses_of, transform_points, transform_poses, values_at
 from imgloc.model import (
     BoolArray,
     FloatArray,
@@ -187,8 +187,7 @@ class Changes(ByContent):
 def sure_poses(answers: Sequence[Localization]) -> tuple[list[int], FloatArray]:
     """Which scans have a pose that is sure, a `unique` one, and these poses (N, 3), map frame."""
     sure = [k for k, a in enumerate(answers) if a.verdict == "unique" and a.complete]
-    poses = [answers[k].hypotheses[0].pose for k in sure]
-    return sure, np.array([(p.x, p.y, p.theta) for p in poses]).reshape(-1, 3)
+    return sure, poses_of([answers[k].hypotheses[0] for k in sure])
 
 
 def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> Cause | None:

@@ -41,9 +41,6 @@ class GridOptions(ScannedOptions):
 
     #: method whose likelihood multiplies the belief on the whole map
     method: Annotated[str, OneOf(*METHODS)] = "ght-v"
-    #: mass within a box above which only the box is computed; what is left, as a share of a uniform
-    #: likelihood, is the least one of a cell, so that none is ruled out
-    box: Share = MASS[1]
     #: largest number of cells of the box, over all headings, that are scored one by one
     box_cells: Count = number("GridOptions.box_cells")
     #: nats per reading by which the misfit may exceed the usual one before p(x | z) is mixed in
@@ -91,7 +88,7 @@ def predict(
     out = turn(out, float(increment[2]), float(np.hypot(first, second)))
     out *= free
     before, whole = belief.sum(dtype=np.float64), out.sum(dtype=np.float64)
-    out *= np.float32(before / whole if whole > (1 - GridOptions.box) * before else 0.0)
+    out *= np.float32(before / whole if whole > (1 - MASS[1]) * before else 0.0)
     return out
 
 
@@ -245,7 +242,8 @@ class GridFilter(ScannedFilter):
         if mix:
             self._resets += 1
             self._belief = (1 - self.how.share) * self._belief + self.how.share * posterior
-        self._belief *= (posterior / np.float32(uniform) + np.float32(1 - self.how.box)) ** new
+        # What is left, as a share of a uniform likelihood, is the least one of a cell: none is out.
+        self._belief *= (posterior / np.float32(uniform) + np.float32(1 - MASS[1])) ** new
         self._normalise()
 
     def _multiply_box(self, scan: LaserScan, new: float) -> None:
@@ -289,7 +287,8 @@ class GridFilter(ScannedFilter):
         """Keep only the box around nearly all of the mass, and `reach` metres more, if small."""
         stack, ends = self._belief, []
         image = stack.sum(axis=0, dtype=np.float64)
-        tail, room = (1 - self.how.box) / 4, self.options.fused.separation[0] + reach
+        # Only a box is computed that holds this mass.
+        tail, room = (1 - MASS[1]) / 4, self.options.fused.separation[0] + reach
         around = int(min(np.ceil(room / self.lattice.resolution), max(self.lattice.shape)))
         for axis, old in ((1, self._box[0]), (0, self._box[1])):
             sums = np.cumsum(image.sum(axis=axis))

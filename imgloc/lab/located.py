@@ -11,7 +11,7 @@ from imgloc.features.scanpoints import evenly
 from imgloc.filters.follow import Moment, Tracking, follow, moves
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.changes import sure_poses
-from imgloc.model import FloatArray, LaserScan, Pose2D, compose
+from imgloc.model import FloatArray, LaserScan, compose
 from imgloc.runs.localize import Locating
 from imgloc.runs.opening import held_bytes
 
@@ -93,5 +93,5 @@ def _followed(run: Locating, most: int, once: Once) -> Placed:
     some = [sure[k] for k in evenly(len(sure), most)]
     seen = tuple(scans[one.index].scaled(one.scale) for one in some)
     pairs = zip(some, seen, strict=True)
-    poses = (compose(m.pose, scan.T_base_laser or Pose2D(0.0, 0.0)) for m, scan in pairs if m.pose)
-    return Placed(len(new), seen, np.array([(p.x, p.y, p.theta) for p in poses]).reshape(-1, 3))
+    poses = [[*compose(m.pose, scan.mount)] for m, scan in pairs if m.pose]
+    return Placed(len(new), seen, np.array(poses).reshape(-1, 3))

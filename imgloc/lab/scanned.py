@@ -12,11 +12,12 @@ from imgloc.filters.motion import MotionNoise, way_of
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
-from imgloc.options import Length, Metres, Nats, Options, Share, Step, Trust
+from imgloc.options import Length, Nats, Options, Share, Step, Trust
 from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import drawn_thick
 
+# Metres for which a place must be the best one before it is ``unique``; masses of the tracker.
 (SURE, _), MASS = TrackerOptions.sure, TrackerOptions.mass
 MORE, SUDDENLY = TrackerOptions.surprise
 """Nats per reading more than usual, and more than in the scan before, that are a surprise."""
@@ -31,9 +32,6 @@ class ScannedOptions(Checked):
     fresh: tuple[Length, Step] = number("ScannedOptions.fresh")
     #: share of a scan's evidence that counts without any motion
     least_new: Share = number("ScannedOptions.least_new")
-    mass: Share = Trust.mass  #: least mass of a ``unique`` place
-    #: metres for which a place must be the best one before it is ``unique``
-    sure: Metres = SURE
     #: nats per reading by which the misfit of a ``unique`` place may exceed the usual one
     surprise: Nats = MORE
     #: largest misfit, nats per reading, at which the filter is not ``lost``
@@ -135,7 +133,7 @@ class ScannedFilter(ABC):
         how, last = self._how, self._last
         strange = last.last > last.usual + how.surprise
         return belief_of(
-            poses, mass, sure=how.mass, lost=last.last > how.misfit,
-            doubted=bool(self.unsure) or strange or self._followed.metres < how.sure,
+            poses, mass, sure=Trust.mass, lost=last.last > how.misfit,
+            doubted=bool(self.unsure) or strange or self._followed.metres < SURE,
             neff=neff, resets=self._resets,
         )  # fmt: skip

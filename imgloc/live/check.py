@@ -20,7 +20,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.live.node import placed, ros_node
 from imgloc.live.settings import Settings
 from imgloc.live.sites import Maker, site_of
-from imgloc.model import LaserScan, Pose2D
+from imgloc.model import LaserScan
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.robot.frames import Frames
@@ -146,7 +146,7 @@ class _Ear:
             placed(seen_in_msg(one, heard.name), self.settings, heard.name, at, link)
             for one in chosen
         ]
-        mount = scans[0].T_base_laser or Pose2D(0.0, 0.0)
+        mount = scans[0].mount
         same = len(chosen) > 1 and len({one.ranges.tobytes() for one in scans}) == 1
         do = "each scan repeats the one before: restart the driver" if same else ""
         if heard.kind == "PointCloud2" and not any(scan.directions for scan in scans):

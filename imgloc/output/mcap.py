@@ -74,7 +74,7 @@ class Recording:
             self._began = True
         if moment.best is not None:
             topic = self._topics.get(scan.laser, next(iter(self._topics.values())))
-            at = compose(moment.best, scan.T_base_laser or Pose2D(0.0, 0.0))
+            at = compose(moment.best, scan.mount)
             links.append(link_fields(at, header, frame_of(topic)))
             angles, ranges = evenly(scan)
             even = replace(scan, angles=angles, ranges=ranges, stamp=seconds)

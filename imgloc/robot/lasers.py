@@ -10,8 +10,6 @@ from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import FusedOptions
 
-STRANGE: float = FusedOptions.strained
-"""Misfit, nats per reading, that counts as usual before the first scan."""
 _HABIT: float = number("belief.habit")  # weight of a new scan in the running mean of the misfit
 _MOST = 64  # lasers of a robot
 
@@ -51,7 +49,8 @@ class Lasers:
     def __init__(self, usual: float = 0.0) -> None:
         self._of: dict[str, Laser] = {}
         self._placed = False
-        self._expected = max(STRANGE, usual)  # misfit, nats per reading, where a place was given
+        # Misfit, nats per reading, that counts as usual before the first scan at a given place.
+        self._expected = max(FusedOptions.strained, usual)
 
     def __len__(self) -> int:
         return len(self._of)

@@ -132,10 +132,8 @@ def drawn_gain(
     places, known = places[:_PLACES], options.shared.thinner
     told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
     scaled = _pieces(features, known, _OFF, readings, _scaled(places), options)
-    bent, cost = (
-        told[min(asked.thinner, THINNER)][1],
-        _AGAINST[0] * np.abs(np.log(FROM_SCALES)).max(),
-    )
+    bent = told[min(asked.thinner, THINNER)][1]
+    cost = _AGAINST[0] * np.abs(np.log(FROM_SCALES)).max()
     kinds = [(one[0], 0.0) for one in told] + [(scaled[0], float(cost))]
     straight, cost = max(kinds, key=lambda kind: kind[0].sum() - kind[1])
     if not np.isfinite(straight.sum() + bent.sum()):

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +62,7 @@ def test_searches_that_are_shared_change_nothing_but_the_time(folder: Path, tmp_
             return self.anew(scan)[0]
 
     def run(searches: Searches) -> dict[str, object]:
-        found = asdict(measure(features, log, "tracker", trials, Options(), searches=searches))
+        found = measure(features, log, "tracker", trials, Options(), searches=searches)
         return {key: repr(value) for key, value in found.items() if key != "speed"}
 
     expected = run(Forgets(features, Options()))

@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -108,36 +108,32 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
             "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
         }
     }  # fmt: skip
-    maps = _maps(problem, given.scans, given.cells)
-    recorded = recorded_sets(given.sets, given.scans, 0, given.range_max)
+    everything = _maps(problem, given.scans, given.cells)
+    everything += recorded_sets(given.sets, given.scans, 0, given.range_max)
     if "costs" in parts:
-        name, (grid, told) = next(iter(maps.items()))
+        name, grid, told = everything[0]
         # A scan that sees too little to have normals would give no votes to time.
         seen = [s for s in told.scans if scan_points(s.ranges, s.angles, s.valid).valid.any()]
         features, scan = prepare(grid), seen[0]
-        timings = (
-            *in_turns(stack_cases(features, scan, threads), repeats),
-            *in_turns(vote_cases(features, scan, threads), repeats),
-        )
+        cases = stack_cases(features, scan, threads), vote_cases(features, scan, threads)
+        timings = [row for some in cases for row in in_turns(some, repeats)]
         out |= {
             "map": name, "surface_points": len(features.surface),
-            "readings": int(scan.valid.sum()), "costs": [as_row(t) for t in timings],
+            "readings": int(scan.valid.sum()), "costs": timings,
         }  # fmt: skip
     if "localize" in parts:
         out["localize"] = {
             name: answer_times(grid, scans.scans[: given.scans], threads, repeats)
-            for name, grid, scans in (*((k, *of) for k, of in maps.items()), *recorded)
+            for name, grid, scans in everything
         }
     if "command" in parts:
-        everything = (*((name, *of) for name, of in maps.items()), *recorded)
         out["command"] = {name: command_times(g, told, repeats) for name, g, told in everything}
     if given.peers is not None:
+        how = given.peers, given.peer_seconds, given.beams
         out["peers"] = {
             f"{name}, {peer}": row
-            for name, grid, told in (*((k, *of) for k, of in maps.items()), *recorded)
-            for peer, row in beside(
-                grid, told, given.peers, given.peer_seconds, given.beams
-            ).items()
+            for name, grid, told in everything
+            for peer, row in beside(grid, told, *how).items()
         }
     if "huge" in parts:
         cells = given.cells or HUGE
@@ -149,15 +145,15 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
 
 def _maps(
     problem: Path | None, count: int, cells: int | None
-) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
+) -> list[tuple[str, OccupancyGrid, ScanSet]]:
     if cells is not None:
         grid = tiled(render(WORLDS["large"](), 0.05), cells)
-        return {f"{cells} x {cells}": (grid, simulate(grid, count, 0, Sensor(range_max=20.0)))}
+        return [(f"{cells} x {cells}", grid, simulate(grid, count, 0, Sensor(range_max=20.0)))]
     if problem is None:
         grid = render(WORLDS["large"](), 0.1)
-        return {"large": (grid, simulate(grid, count, 0, Sensor(range_max=10.0)))}
+        return [("large", grid, simulate(grid, count, 0, Sensor(range_max=10.0)))]
     scans = load_scans(problem / "scans_10m.npz")
-    return {k: (load_map(problem / f"map{k}.yaml"), scans) for k in ("A", "B")}
+    return [(k, load_map(problem / f"map{k}.yaml"), scans) for k in ("A", "B")]
 
 
 def bench_tables(results: Mapping[str, Any]) -> str:
@@ -220,56 +216,33 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Timing:
-    """How long a case took."""
-
-    name: str
-    unit: str
-    work: float  #: units of one call: poses times readings, pairs, or 1
-    seconds: tuple[float, ...]  #: of each repeat
-
-    @property
-    def median(self) -> float:
-        """Median of the repeats, seconds."""
-        return float(np.median(self.seconds))
-
-    @property
-    def cost(self) -> float:
-        """Nanoseconds per unit of work."""
-        return 1e9 * self.median / self.work
-
-
 Case = tuple[str, str, float, Callable[[], object]]
 """Name, unit, units of work of a call, the call."""
 
 
-def in_turns(cases: Sequence[Case], repeats: int) -> tuple[Timing, ...]:
-    """Time cases, each in turn, after one call of each that does not count.
+def in_turns(cases: Sequence[Case], repeats: int) -> list[Row]:
+    """Time cases, each in turn, after one call of each that does not count; a row of each.
+
+    A row has the median of the repeats, for a unit of work and whole, and their spread, as a share.
 
     A clock of the process does not run while others do, but runs twice as fast for two threads.
 
     Examples
     --------
     >>> one, = in_turns([("nothing", "call", 1, lambda: None)], 3)
-    >>> one.name, len(one.seconds)
-    ('nothing', 3)
+    >>> one["case"], one["unit"]
+    ('nothing', 'call')
     """
     at_least_one(repeats=repeats)
     calls = [call for *_, call in cases]
     for call in calls:
         call()
-    taken = zip(cases, take_turns(calls, repeats), strict=True)
-    return tuple(Timing(name, unit, work, seconds) for (name, unit, work, _), seconds in taken)
-
-
-def as_row(timing: Timing) -> dict[str, object]:
-    """A timing as plain values."""
-    spread = (max(timing.seconds) - min(timing.seconds)) / timing.median
-    return {
-        "case": timing.name, "unit": timing.unit, "ns": timing.cost,
-        "ms": 1e3 * timing.median, "spread": spread,
-    }  # fmt: skip
+    rows = list[Row]()
+    for (name, unit, work, _), s in zip(cases, take_turns(calls, repeats), strict=True):
+        median = float(np.median(s))
+        times = {"ns": 1e9 * median / work, "ms": 1e3 * median}
+        rows.append({"case": name, "unit": unit, **times, "spread": (max(s) - min(s)) / median})
+    return rows
 
 
 def answer_times(

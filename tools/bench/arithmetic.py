@@ -35,6 +35,7 @@ _WHERE = (
 )  # fmt: skip
 STEPS = tuple(name for _, name in _WHERE)
 """What is recorded: the exhaustive level, the finer levels, the refinement, the rays."""
+_FLAGS = ["-O3", "-march=native", "-ffast-math", "-fno-finite-math-only", "-shared", "-fPIC"]
 Array = npt.NDArray[Any]
 
 
@@ -89,26 +90,12 @@ class Kernels:
             raise ConfigError("no C compiler (cc) is there, so the arithmetic is not measured")
         with tempfile.TemporaryDirectory() as folder:
             made = Path(folder) / "kernels.so"
-            source, flags = (
-                Path(__file__).with_name("kernels.c"),
-                ("-O3", "-march=native", "-ffast-math"),
-            )
-            words = (
-                compiler,
-                *flags,
-                "-fno-finite-math-only",
-                "-shared",
-                "-fPIC",
-                source,
-                "-o",
-                made,
-                "-lm",
-            )
+            source = Path(__file__).with_name("kernels.c")
+            words: tuple[str | Path, ...] = (compiler, *_FLAGS, source, "-o", made, "-lm")
             done = subprocess.run(words, check=False, capture_output=True, text=True)  # noqa: S603
             if done.returncode:
-                raise ConfigError(
-                    f"{source.name} is not compiled: {done.stderr.strip().splitlines()[-1]}"
-                )
+                why = done.stderr.strip().splitlines()[-1]
+                raise ConfigError(f"{source.name} is not compiled: {why}")
             self._library = ctypes.CDLL(str(made))
 
     def replay(
@@ -153,12 +140,9 @@ class Kernels:
     def _sums_under(
         self, images: Sequence[Array], offsets: Array, k: Array, base: Array, *, result: Array
     ) -> tuple[float, Array]:
-        quads = len(images) == 1
-        first = (
-            [images[0].ctypes.data + j for j in range(4)]
-            if quads
-            else [i.ctypes.data for i in images]
-        )
+        quads, first = len(images) == 1, [image.ctypes.data for image in images]
+        if quads:  # the bytes of four cells stand side by side
+            first = [first[0] + j for j in range(4)]
         out = np.empty(result.shape, np.int32)
         offsets, k, base = (np.ascontiguousarray(v, np.int64) for v in (offsets, k, base))
         seconds = self._ask(

@@ -20,8 +20,9 @@ import numpy as np
 
 from imgloc import ConfigError, LaserScan, OccupancyGrid, Pose2D, ScanSet, localize, prepare
 from imgloc.features.scanpoints import evenly, scan_xy
-from imgloc.geometry import in_grid_frame, pose_errors
+from imgloc.geometry import in_grid_frame
 from tools.recorded import RIGHT
+from tools.robot.places import apart
 
 Answer = Callable[[LaserScan], tuple[float, Pose2D | None]]
 """Takes a scan; returns the milliseconds of a processor, and the pose in the grid frame."""
@@ -123,7 +124,4 @@ def _processor(pid: int) -> float:
 
 
 def _right(pose: Pose2D | None, truth: Pose2D) -> bool:
-    if pose is None:
-        return False
-    metres, radians = pose_errors(np.array([[pose.x, pose.y, pose.theta]]), truth)[0]
-    return bool(metres <= RIGHT[0] and radians <= RIGHT[1])
+    return pose is not None and not apart(pose, np.array([*truth]), RIGHT)

@@ -1,7 +1,7 @@
 """Scans of buildings, located on their floor plans and on what `imgloc map plan` makes of them.
 
     python -m tools.plans                            # 20 scans in each of three buildings
-    python -m tools.plans -n 5 --seeds 1 --styles filled,outlined
+    python -m tools.plans -n 5 --seeds 1 --maps plan,walls
     python -m tools.plans --sheets -n 60             # whole sheets, as other programs make them
     python -m tools.plans --sheets aside,hatched     # of these words
     python -m tools.plans --drawings DIR -n 60       # DXF, SVG and PDF of a folder, without options
@@ -25,11 +25,11 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.plans.vectors import READERS
-from tools.plans.drawing import STYLES, building, draw_plan
+from tools.plans.drawing import building, draw_plan
 from tools.plans.drawings import DRAWINGS_HEAD, measure_drawings, write_dxf
 from tools.plans.measure import DRAWN, MAPS, SHEETS_HEAD, measure, measure_sheets, table
-from tools.plans.sheets import ASIDE, FRESH, HARD, LATER, SHEETS
-from tools.script import ended, parser_of, progress, show, table_lines
+from tools.plans.sheets import SHEETS
+from tools.script import ended, one_of, parser_of, progress, show, table_lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,7 +37,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of("tools.plans", __doc__)
     parser.add_argument("-n", type=int, default=20, help="scans in each building (default: 20)")
     parser.add_argument("--seeds", default="1,2,3", help="of buildings, with commas between")
-    parser.add_argument("--styles", default=",".join(STYLES), help="of walls, with commas between")
     parser.add_argument("--maps", default=",".join(MAPS), help="with commas between")
     parser.add_argument(
         "--sheets", nargs="?", const="", metavar="WORDS",
@@ -52,10 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(given: argparse.Namespace) -> int:
     """Measure and print, or draw."""
-    for known, name in ((STYLES, "styles"), (MAPS, "maps")):
-        asked = getattr(given, name).split(",")
-        if strange := sorted(set(asked) - set(known)):
-            raise ConfigError(f"--{name}: got {', '.join(strange)}, expected {','.join(known)}")
+    maps = given.maps.split(",")
+    one_of(maps, MAPS)
     seeds = [int(word) for word in given.seeds.split(",") if word.strip().isdecimal()]
     if not seeds or given.n < 1:
         raise ConfigError("--seeds and -n: expected numbers, and at least one scan")
@@ -66,12 +63,11 @@ def run(given: argparse.Namespace) -> int:
             return show(table_lines(DRAWINGS_HEAD, measured))
     if given.sheets is not None:
         return _sheets(given)
-    drawn = [how for how in DRAWN if how.style in given.styles.split(",")]
     if given.draw is not None:
         for seed in seeds:
             write_dxf(building(seed), path := given.draw / f"building-{seed}.dxf")
             print(path)
-            for how in drawn:
+            for how in DRAWN:
                 image = draw_plan(
                     building(seed, how.turn), how.resolution, how.style, noise=how.noise
                 )
@@ -79,17 +75,15 @@ def run(given: argparse.Namespace) -> int:
                 write_bytes_atomic(path, encode_png(image), force=given.force)
                 print(path)
         return 0
-    maps = given.maps.split(",")
     cv2.setNumThreads(os.cpu_count() or 1)
-    with progress("plans", len(seeds) * given.n * len(drawn) * len(maps)) as advance:
-        return show(table(measure(seeds, given.n, drawn, maps, advance)))
+    with progress("plans", len(seeds) * given.n * len(DRAWN) * len(maps)) as advance:
+        return show(table(measure(seeds, given.n, DRAWN, maps, advance)))
 
 
 def _sheets(given: argparse.Namespace) -> int:
     """Measure or draw whole sheets."""
     words = given.sheets.split(",")
-    known = SHEETS | ASIDE | LATER | HARD | FRESH
-    some = {n: make for n, make in known.items() if any(word in n for word in words)}
+    some = {n: make for n, make in SHEETS.items() if any(word in n for word in words)}
     if given.draw is not None:
         for name, make in some.items():
             path = given.draw / f"{re.sub('[^a-z0-9]+', '-', name)}.png"

@@ -58,6 +58,11 @@ class Building:
     rooms: list[FloatArray] = field(default_factory=list)  #: corners
     yards: list[FloatArray] = field(default_factory=list)  #: open to the sky, within the walls
 
+    def wall(self, x0: float, y0: float, x1: float, y1: float, thick: float) -> int:
+        """Add a wall by its centre line; its index."""
+        self.walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
+        return len(self.walls) - 1
+
     def placed(self, xy: npt.ArrayLike) -> FloatArray:
         """Points (..., 2) of the building in the frame of its plan."""
         return np.asarray(np.asarray(xy) @ rotation(self.turn).T + self.corner)
@@ -102,15 +107,11 @@ def building(seed: int, turn: float = 0.0, floor: int | None = None) -> Building
     corner = np.array([_AROUND + (depth * np.sin(turn)), _AROUND])
     b = Building((width, depth), turn=turn, corner=corner)
 
-    def wall(x0: float, y0: float, x1: float, y1: float, thick: float) -> int:
-        b.walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
-        return len(b.walls) - 1
-
     # Outer walls by their centre lines, ends overlapping at the corners.
     h = outer / 2
-    south, north = wall(0, h, width, h, outer), wall(0, depth - h, width, depth - h, outer)
-    west, east = wall(h, 0, h, depth, outer), wall(width - h, 0, width - h, depth, outer)
-    sides = [wall(0, low, width, low, 0.2), wall(0, high, width, high, 0.2)]
+    south, north = b.wall(0, h, width, h, outer), b.wall(0, depth - h, width, depth - h, outer)
+    west, east = b.wall(h, 0, h, depth, outer), b.wall(width - h, 0, width - h, depth, outer)
+    sides = [b.wall(0, low, width, low, 0.2), b.wall(0, high, width, high, 0.2)]
     for facade, hinge in ((west, 0), (east, 1)):
         kind = "double" if facade == west else "door"
         wide = 1.6 if kind == "double" else 1.0
@@ -137,14 +138,10 @@ def hospital(seed: int, outer: float = 0.8, yard: bool = True) -> Building:
     width, depth, h = rng.uniform(46, 54), 28.0, outer / 2
     b = Building((width, depth), corner=np.full(2, _AROUND))
 
-    def wall(x0: float, y0: float, x1: float, y1: float, thick: float) -> int:
-        b.walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
-        return len(b.walls) - 1
-
-    south, north = wall(0, h, width, h, outer), wall(0, depth - h, width, depth - h, outer)
-    west, east = wall(h, 0, h, depth, outer), wall(width - h, 0, width - h, depth, outer)
+    south, north = b.wall(0, h, width, h, outer), b.wall(0, depth - h, width, depth - h, outer)
+    west, east = b.wall(h, 0, h, depth, outer), b.wall(width - h, 0, width - h, depth, outer)
     low, high = rng.uniform(6.0, 7.0, 2)
-    sides = [wall(0, low, width, low, 0.3), wall(0, depth - high, width, depth - high, 0.3)]
+    sides = [b.wall(0, low, width, low, 0.3), b.wall(0, depth - high, width, depth - high, 0.3)]
     y0, y1 = low + 2.5, depth - high - 2.5  # of the core, between the corridors
     for facade, y, hinge in ((west, y0 - 2.1, 0), (east, y1 + 0.5, 1)):
         b.openings.append(Opening(facade, y, 1.8, "double", 1 if facade == east else -1, hinge))
@@ -156,16 +153,16 @@ def hospital(seed: int, outer: float = 0.8, yard: bool = True) -> Building:
         zip(ends + [0, 2.4, 2.4], [*ends[1:], width - outer], strict=True)
     ):
         thick = 0.5 if yard and k == 1 else 0.3
-        lower, upper = (wall(x0, y, x1, y, thick) for y in (y0, y1))
+        lower, upper = (b.wall(x0, y, x1, y, thick) for y in (y0, y1))
         for x in ((x0, x1), (x1,), (x0,))[(1, 0, 2)[k]]:
-            wall(x, y0, x, y1, thick)
+            b.wall(x, y0, x, y1, thick)
         if yard and k == 1:
             b.yards.append(box(x0, y0, x1, y1))
             for side in (lower, upper):
                 b.openings += [Opening(side, s, 1.6, "window") for s in (2.0, 6.0)]
             continue
         middle = (y0 + y1) / 2
-        spine = wall(x0, middle, x1, middle, 0.2)
+        spine = b.wall(x0, middle, x1, middle, 0.2)
         here = x0 + 0.15, x1 - 0.15
         for side, bottom, top, up in ((lower, y0 + 0.15, middle - 0.1, True),
                                       (upper, middle + 0.1, y1 - 0.15, False)):  # fmt: skip
@@ -201,11 +198,11 @@ def _rooms(
         x += length
         if x < end - 1e-6:
             thin = float(rng.choice([0.1, 0.12, 0.15]))
-            b.walls.append((np.array([x, bottom - 0.05]), np.array([x, top + 0.05]), thin))
+            between = b.wall(x, bottom - 0.05, x, top + 0.05, thin)
             if rng.random() < 0.35:  # a door to the next room
                 where = rng.uniform(0.4, top - bottom - 1.4)
                 b.openings.append(
-                    Opening(len(b.walls) - 1, where, 0.8, "door", int(rng.choice([-1, 1])), 0,
+                    Opening(between, where, 0.8, "door", int(rng.choice([-1, 1])), 0,
                             rng.uniform(1.2, 1.7))
                 )  # fmt: skip
         wide = float(rng.choice([0.8, 0.9, 1.0]))

@@ -161,11 +161,14 @@ def _unknown(found: FloorPlan) -> OccupancyGrid:
     return replace(grid, free=grid.free & ~here)
 
 
-def judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], None]) -> None:
+def judge(
+    grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], None] = lambda: None,
+    options: Options | None = None,
+) -> None:  # fmt: skip
     """Locate scans on a map, and count in its row what became of them."""
     features = prepare(grid)
     for scan, truth in scans.with_poses():
-        answer = localize(features, scan, Options())
+        answer = localize(features, scan, options)
         errors = pose_errors(poses_of(answer.hypotheses), Pose2D(*truth))
         fits = np.asarray((errors < (NEAR, TURNED)).all(axis=1))
         right = bool(fits[:1].any())

@@ -247,99 +247,6 @@ def _whole(b: Building, resolution: float, style: str, *, clutter: bool = True) 
     return padded(drawn(b, resolution, style, clutter=clutter), 2.0, 6.0, 11.0, 6.0)
 
 
-#: how each sheet is drawn; those of ASIDE were not looked at while `plan_to_map` was mended
-SHEETS: dict[str, Callable[[], Sheet]] = {
-    "frame and title block": lambda: title_block(framed(_whole(building(1), 0.02, "outlined"))),
-    "thick filled walls, legend and title in large letters": lambda: legend(
-        titled(_whole(hospital(1), 0.045, "filled"), "SECOND FLOOR  WARD 2A", 2.6, 0.08), 1.6, 2.0
-    ),
-    "thick walls as two lines": lambda: titled(
-        _whole(hospital(2), 0.03, "outlined"), "LEVEL 2", 1.5
-    ),
-    "hatched walls, frame, legend": lambda: legend(framed(_whole(building(2), 0.02, "hatched"))),
-    "axes and dimensions": lambda: dimensions(axes(_whole(building(3), 0.02, "outlined"))),
-    "scanned, turned by 2 deg": lambda: jpeg(
-        scanned(turned(framed(_whole(building(1), 0.025, "filled"))), 1)
-    ),
-    "photographed, turned by 2 deg": lambda: jpeg(
-        photographed(turned(titled(_whole(building(2), 0.02, "outlined"), "OFFICES", 1.0)), 2), 60
-    ),
-    "coloured zones": lambda: legend(zones(_whole(building(3), 0.02, "filled"), PASTEL)),
-    "strong coloured zones, walls as two lines": lambda: zones(
-        _whole(hospital(3, 0.4, yard=False), 0.03, "outlined"), STRONG
-    ),
-    "light on dark, title block": lambda: inked(
-        title_block(framed(_whole(building(1), 0.02, "outlined"))), (230, 230, 120), (40, 30, 30)
-    ),
-    "small, grey, soft": lambda: smaller(title_block(_whole(building(2), 0.02, "grey")), 2.5),
-    "light grey walls, dark text": lambda: axes(
-        inked(_whole(hospital(1, 0.5, yard=False), 0.03, "filled", clutter=False), (190,) * 3,
-              (255,) * 3)
-    ),
-}  # fmt: skip
-ASIDE: dict[str, Callable[[], Sheet]] = {
-    "aside: thick hatched walls, scanned, title block": lambda: jpeg(
-        scanned(title_block(framed(_whole(hospital(4, 0.6), 0.035, "hatched"))), 4), 50
-    ),
-    "aside: thick walls as two lines, photographed, zones, frame": lambda: jpeg(
-        photographed(
-            turned(framed(zones(_whole(hospital(5, 0.7), 0.03, "outlined"), PASTEL)), -2.0, 90), 5
-        )
-    ),
-    "aside: red walls on cream paper, legend": lambda: legend(
-        inked(_whole(building(4), 0.025, "filled"), (40, 30, 170), (215, 240, 250))
-    ),
-    "aside: white on blue, turned, dimensions": lambda: turned(
-        inked(dimensions(framed(_whole(building(5), 0.02, "outlined"))), (255,) * 3, (120, 60, 20)),
-        2.0, 60,
-    ),
-    "aside: single lines, title block, small": lambda: smaller(
-        title_block(framed(_whole(building(6), 0.02, "lines"), inner=None)), 1.7
-    ),
-    "aside: grey walls, strong zones, large title, JPEG": lambda: jpeg(
-        titled(zones(_whole(hospital(6, 0.5), 0.03, "grey"), STRONG), "GROUND FLOOR", 2.4, 0.1), 30
-    ),
-}  # fmt: skip
-#: those of buildings that no sheet before has; drawn once the warnings were there
-LATER: dict[str, Callable[[], Sheet]] = {
-    "later: frame and title block": lambda: title_block(
-        framed(_whole(building(11), 0.02, "outlined"))
-    ),
-    "later: thick hatched walls, scanned, title block": lambda: jpeg(
-        scanned(title_block(framed(_whole(hospital(11, 0.6), 0.035, "hatched"))), 11), 50
-    ),
-    "later: thick walls as two lines, photographed, zones, frame": lambda: jpeg(
-        photographed(
-            turned(framed(zones(_whole(hospital(12, 0.7), 0.03, "outlined"), PASTEL)), -2.0, 90), 12
-        )
-    ),
-    "later: thick filled walls, legend and title in large letters": lambda: legend(
-        titled(_whole(hospital(13), 0.045, "filled"), "SECOND FLOOR", 2.6, 0.08), 1.6, 2.0
-    ),
-    "later: grey walls, strong zones, large title, JPEG": lambda: jpeg(
-        titled(zones(_whole(hospital(14, 0.5), 0.03, "grey"), STRONG), "GROUND FLOOR", 2.4, 0.1), 30
-    ),
-    "later: hatched walls, scanned, frame": lambda: jpeg(
-        scanned(framed(_whole(building(12), 0.025, "hatched")), 12), 50
-    ),
-    "later: walls as two lines, photographed": lambda: jpeg(
-        photographed(turned(_whole(building(13), 0.02, "outlined")), 13, 0.35), 50
-    ),
-    "later: walls as two lines, small": lambda: smaller(
-        _whole(hospital(15, 0.5), 0.03, "outlined"), 1.8
-    ),
-    "later: thick filled walls, scanned, many specks": lambda: jpeg(
-        scanned(_whole(hospital(16, 0.6), 0.04, "filled"), 16, 0.006), 40
-    ),
-    "later: single lines, scanned": lambda: jpeg(
-        scanned(_whole(building(14), 0.025, "lines"), 14), 50
-    ),
-    "later: double frame around 13 times the building": lambda: framed(
-        padded(drawn(building(1), 0.05, "filled"), 38.0, 20.5, 38.0, 20.5), 0.3, 0.1
-    ),
-}  # fmt: skip
-
-
 def enclosed(s: Sheet, away: Sequence[float], width: float = 0.06) -> Sheet:
     """A frame of one line, `away` metres left of, below, right of and above the building.
 
@@ -387,16 +294,12 @@ def cottage(seed: int) -> Building:
     t = 0.1
     x1, x2, y1 = 0.36 * wide, 0.68 * wide, 0.5 * high
 
-    def wall(x0: float, y0: float, x1: float, y1: float) -> int:
-        b.walls.append((np.array([x0, y0]), np.array([x1, y1]), t))
-        return len(b.walls) - 1
-
     h = t / 2
-    south, north = wall(0, h, wide, h), wall(0, high - h, wide, high - h)
-    west, spine = wall(h, 0, h, high), wall(0, y1, wide, y1)
-    below, above = wall(x1, 0, x1, y1), wall(x1, y1, x1, high)
-    wall(wide - h, 0, wide - h, high)
-    wall(x2, 0, x2, y1)
+    south, north = b.wall(0, h, wide, h, t), b.wall(0, high - h, wide, high - h, t)
+    west, spine = b.wall(h, 0, h, high, t), b.wall(0, y1, wide, y1, t)
+    below, above = b.wall(x1, 0, x1, y1, t), b.wall(x1, y1, x1, high, t)
+    b.wall(wide - h, 0, wide - h, high, t)
+    b.wall(x2, 0, x2, y1, t)
     doors = ((south, 0.5, 2.4), (south, x2 + 0.5, 2.0), (north, x2 - 0.6, 2.4), (west, 0.8, 1.0),
              (spine, 0.8, 1.8), (spine, x1 + 0.5, 1.8), (spine, x2 + 0.6, 1.4),
              (below, 0.9, 1.6), (above, 1.0, 1.4))  # fmt: skip
@@ -413,55 +316,6 @@ def thick(b: Building, thickness: float) -> Building:
     """The same with all walls so thick."""
     b.walls = [(a, end, thickness) for a, end, _ in b.walls]
     return b
-
-
-HARD: dict[str, Callable[[], Sheet]] = {
-    "hard: title block 1.1 m from the building": lambda: block(
-        enclosed(padded(drawn(building(21), 0.02, "filled"), 3, 3, 3, 3), (2.0, 4.6, 2.0, 2.0)),
-        building(21).size[0] - 5.0,
-        -4.6,
-    ),
-    "hard: frame 1.2 m around the building, hatched": lambda: enclosed(
-        drawn(building(22), 0.02, "hatched"), (1.2, 1.2, 1.2, 1.2)
-    ),
-    "hard: frame along a facade": lambda: enclosed(
-        padded(drawn(building(23), 0.02, "filled"), 2, 2, 2, 2), (2.5, 4.0, 3.0, 0.0)
-    ),
-    "hard: frame along two facades, walls as two lines": lambda: enclosed(
-        padded(drawn(building(24), 0.02, "outlined"), 4, 4, 4, 4), (0.0, 4.0, 5.0, 0.0)
-    ),
-    "hard: title block joined to the facade": lambda: block(
-        enclosed(padded(drawn(building(25), 0.02, "filled"), 3, 3, 3, 3), (2.0, 3.0, 3.0, 2.0)),
-        9.0,
-        -3.0,
-    ),
-    "hard: two buildings 4 m apart": lambda: beside(
-        drawn(building(26), 0.02, "filled"), drawn(building(27), 0.02, "filled"), 4.0
-    ),
-    "hard: two buildings 2 m apart, a small one": lambda: beside(
-        drawn(building(28), 0.02, "filled"), drawn(cottage(1), 0.02, "filled"), 2.0
-    ),
-    "hard: single lines, scanned": lambda: jpeg(
-        scanned(drawn(building(29), 0.025, "lines"), 29), 50
-    ),
-    "hard: single lines, scanned, fine": lambda: jpeg(
-        scanned(_whole(building(30), 0.015, "lines"), 30), 50
-    ),
-    "hard: walls 0.88 m thick as two lines": lambda: drawn(
-        thick(building(31), 0.88), 0.02, "outlined"
-    ),
-    "hard: walls 0.88 m thick as two lines, hospital": lambda: drawn(
-        hospital(32, 0.88), 0.03, "outlined"
-    ),
-    "hard: walls 1.2 m thick as two lines, hospital": lambda: drawn(
-        hospital(33, 1.2), 0.03, "outlined"
-    ),
-    "hard: small house, wide doors, filled": lambda: drawn(cottage(2), 0.02, "filled"),
-    "hard: small house, wide doors, outlined": lambda: drawn(cottage(3), 0.02, "outlined"),
-    "hard: small house, wide doors, no swings": lambda: drawn(
-        cottage(4), 0.02, "filled", clutter=False
-    ),
-}
 
 
 def escape_plan(s: Sheet) -> Sheet:
@@ -513,8 +367,139 @@ def copied(s: Sheet) -> Sheet:
     return s.changed(image)
 
 
-#: of conventions that no sheet before has; drawn when `plan_to_map` was frozen
-FRESH: dict[str, Callable[[], Sheet]] = {
+#: How each sheet is drawn, by its name.
+SHEETS: dict[str, Callable[[], Sheet]] = {
+    "frame and title block": lambda: title_block(framed(_whole(building(1), 0.02, "outlined"))),
+    "thick filled walls, legend and title in large letters": lambda: legend(
+        titled(_whole(hospital(1), 0.045, "filled"), "SECOND FLOOR  WARD 2A", 2.6, 0.08), 1.6, 2.0
+    ),
+    "thick walls as two lines": lambda: titled(
+        _whole(hospital(2), 0.03, "outlined"), "LEVEL 2", 1.5
+    ),
+    "hatched walls, frame, legend": lambda: legend(framed(_whole(building(2), 0.02, "hatched"))),
+    "axes and dimensions": lambda: dimensions(axes(_whole(building(3), 0.02, "outlined"))),
+    "scanned, turned by 2 deg": lambda: jpeg(
+        scanned(turned(framed(_whole(building(1), 0.025, "filled"))), 1)
+    ),
+    "photographed, turned by 2 deg": lambda: jpeg(
+        photographed(turned(titled(_whole(building(2), 0.02, "outlined"), "OFFICES", 1.0)), 2), 60
+    ),
+    "coloured zones": lambda: legend(zones(_whole(building(3), 0.02, "filled"), PASTEL)),
+    "strong coloured zones, walls as two lines": lambda: zones(
+        _whole(hospital(3, 0.4, yard=False), 0.03, "outlined"), STRONG
+    ),
+    "light on dark, title block": lambda: inked(
+        title_block(framed(_whole(building(1), 0.02, "outlined"))), (230, 230, 120), (40, 30, 30)
+    ),
+    "small, grey, soft": lambda: smaller(title_block(_whole(building(2), 0.02, "grey")), 2.5),
+    "light grey walls, dark text": lambda: axes(
+        inked(_whole(hospital(1, 0.5, yard=False), 0.03, "filled", clutter=False), (190,) * 3,
+              (255,) * 3)
+    ),
+    # Not looked at while `plan_to_map` was mended.
+    "aside: thick hatched walls, scanned, title block": lambda: jpeg(
+        scanned(title_block(framed(_whole(hospital(4, 0.6), 0.035, "hatched"))), 4), 50
+    ),
+    "aside: thick walls as two lines, photographed, zones, frame": lambda: jpeg(
+        photographed(
+            turned(framed(zones(_whole(hospital(5, 0.7), 0.03, "outlined"), PASTEL)), -2.0, 90), 5
+        )
+    ),
+    "aside: red walls on cream paper, legend": lambda: legend(
+        inked(_whole(building(4), 0.025, "filled"), (40, 30, 170), (215, 240, 250))
+    ),
+    "aside: white on blue, turned, dimensions": lambda: turned(
+        inked(dimensions(framed(_whole(building(5), 0.02, "outlined"))), (255,) * 3, (120, 60, 20)),
+        2.0, 60,
+    ),
+    "aside: single lines, title block, small": lambda: smaller(
+        title_block(framed(_whole(building(6), 0.02, "lines"), inner=None)), 1.7
+    ),
+    "aside: grey walls, strong zones, large title, JPEG": lambda: jpeg(
+        titled(zones(_whole(hospital(6, 0.5), 0.03, "grey"), STRONG), "GROUND FLOOR", 2.4, 0.1), 30
+    ),
+    # Of buildings that no sheet before has; drawn once the warnings were there.
+    "later: frame and title block": lambda: title_block(
+        framed(_whole(building(11), 0.02, "outlined"))
+    ),
+    "later: thick hatched walls, scanned, title block": lambda: jpeg(
+        scanned(title_block(framed(_whole(hospital(11, 0.6), 0.035, "hatched"))), 11), 50
+    ),
+    "later: thick walls as two lines, photographed, zones, frame": lambda: jpeg(
+        photographed(
+            turned(framed(zones(_whole(hospital(12, 0.7), 0.03, "outlined"), PASTEL)), -2.0, 90), 12
+        )
+    ),
+    "later: thick filled walls, legend and title in large letters": lambda: legend(
+        titled(_whole(hospital(13), 0.045, "filled"), "SECOND FLOOR", 2.6, 0.08), 1.6, 2.0
+    ),
+    "later: grey walls, strong zones, large title, JPEG": lambda: jpeg(
+        titled(zones(_whole(hospital(14, 0.5), 0.03, "grey"), STRONG), "GROUND FLOOR", 2.4, 0.1), 30
+    ),
+    "later: hatched walls, scanned, frame": lambda: jpeg(
+        scanned(framed(_whole(building(12), 0.025, "hatched")), 12), 50
+    ),
+    "later: walls as two lines, photographed": lambda: jpeg(
+        photographed(turned(_whole(building(13), 0.02, "outlined")), 13, 0.35), 50
+    ),
+    "later: walls as two lines, small": lambda: smaller(
+        _whole(hospital(15, 0.5), 0.03, "outlined"), 1.8
+    ),
+    "later: thick filled walls, scanned, many specks": lambda: jpeg(
+        scanned(_whole(hospital(16, 0.6), 0.04, "filled"), 16, 0.006), 40
+    ),
+    "later: single lines, scanned": lambda: jpeg(
+        scanned(_whole(building(14), 0.025, "lines"), 14), 50
+    ),
+    "later: double frame around 13 times the building": lambda: framed(
+        padded(drawn(building(1), 0.05, "filled"), 38.0, 20.5, 38.0, 20.5), 0.3, 0.1
+    ),
+    "hard: title block 1.1 m from the building": lambda: block(
+        enclosed(padded(drawn(building(21), 0.02, "filled"), 3, 3, 3, 3), (2.0, 4.6, 2.0, 2.0)),
+        building(21).size[0] - 5.0,
+        -4.6,
+    ),
+    "hard: frame 1.2 m around the building, hatched": lambda: enclosed(
+        drawn(building(22), 0.02, "hatched"), (1.2, 1.2, 1.2, 1.2)
+    ),
+    "hard: frame along a facade": lambda: enclosed(
+        padded(drawn(building(23), 0.02, "filled"), 2, 2, 2, 2), (2.5, 4.0, 3.0, 0.0)
+    ),
+    "hard: frame along two facades, walls as two lines": lambda: enclosed(
+        padded(drawn(building(24), 0.02, "outlined"), 4, 4, 4, 4), (0.0, 4.0, 5.0, 0.0)
+    ),
+    "hard: title block joined to the facade": lambda: block(
+        enclosed(padded(drawn(building(25), 0.02, "filled"), 3, 3, 3, 3), (2.0, 3.0, 3.0, 2.0)),
+        9.0,
+        -3.0,
+    ),
+    "hard: two buildings 4 m apart": lambda: beside(
+        drawn(building(26), 0.02, "filled"), drawn(building(27), 0.02, "filled"), 4.0
+    ),
+    "hard: two buildings 2 m apart, a small one": lambda: beside(
+        drawn(building(28), 0.02, "filled"), drawn(cottage(1), 0.02, "filled"), 2.0
+    ),
+    "hard: single lines, scanned": lambda: jpeg(
+        scanned(drawn(building(29), 0.025, "lines"), 29), 50
+    ),
+    "hard: single lines, scanned, fine": lambda: jpeg(
+        scanned(_whole(building(30), 0.015, "lines"), 30), 50
+    ),
+    "hard: walls 0.88 m thick as two lines": lambda: drawn(
+        thick(building(31), 0.88), 0.02, "outlined"
+    ),
+    "hard: walls 0.88 m thick as two lines, hospital": lambda: drawn(
+        hospital(32, 0.88), 0.03, "outlined"
+    ),
+    "hard: walls 1.2 m thick as two lines, hospital": lambda: drawn(
+        hospital(33, 1.2), 0.03, "outlined"
+    ),
+    "hard: small house, wide doors, filled": lambda: drawn(cottage(2), 0.02, "filled"),
+    "hard: small house, wide doors, outlined": lambda: drawn(cottage(3), 0.02, "outlined"),
+    "hard: small house, wide doors, no swings": lambda: drawn(
+        cottage(4), 0.02, "filled", clutter=False
+    ),
+    # Of conventions that no sheet before has; drawn when `plan_to_map` was frozen.
     "fresh: escape plan, grey walls, green border": lambda: escape_plan(
         padded(inked(drawn(building(41), 0.025, "filled", clutter=False), (120,) * 3, (255,) * 3),
                2, 3, 2, 2)

@@ -31,6 +31,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -77,7 +78,6 @@ def main() -> int:
     play.add_argument("--count", type=int, default=0, help="scans to play; 0: all")
     play.add_argument("--times", type=int, default=1, help="how often")
     play.add_argument("--hold", type=float, default=0.0, help="seconds from map to first scan")
-    play.add_argument("--stay", type=float, default=0.0, help="seconds after the last scan")
     play.add_argument("--write", type=Path, help="JSONL: index and stamp of each scan")
     listen.add_argument("--all", action="store_true", help="status, diagnostics, track too")
     listen.add_argument("--write", type=Path, help="JSONL, instead of standard output")
@@ -122,12 +122,8 @@ def _node(name: str) -> tuple[Any, Any]:
 
 def _play(given: argparse.Namespace) -> int:
     log, grids = _given(given)
-    names = (
-        "lasers", "cloud", "best_effort", "disturb", "freeze", "clock", "first", "count", "times",
-        "amcl", "stay",
-    )  # fmt: skip
     ros, node = _node("player")
-    how = Playing(**{name: getattr(given, name) for name in names})
+    how = Playing(**{each.name: getattr(given, each.name) for each in fields(Playing)})
     player = Player(ros, node, how, write_to(given.write))
     if grids and not given.no_map:
         player.show(grids[0])

@@ -135,7 +135,7 @@ def kill_loop(
     """
     log, rng, around = load_scans(log_path), random.Random(seed), environment()  # noqa: S311
     truth = true_poses(map_path, log, start)
-    mount, firsts = log[0].T_base_laser or Pose2D(0.0, 0.0), soonest(truth)
+    mount, firsts = log[0].mount, soonest(truth)
     sensor = f"{mount.x},{mount.y},{mount.theta}"
     told, asking = Told(kills={"node": 0, "player": 0}), list["subprocess.Popen[bytes]"]()
     with TemporaryDirectory() as folder:

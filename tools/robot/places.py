@@ -119,8 +119,7 @@ def recorded(folders: Sequence[Path], logs: Sequence[tuple[str, str]]) -> list[P
     for log, (name, _, start) in ((log, begin.rpartition("@")) for log, begin in logs):
         scans, path = load_scans(log).with_odometry(log)[0], Path(name)
         base = true_poses(path, scans, Pose2D(*map(float, start.split(","))))
-        mounts = [scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans]
-        poses = compose_poses(base, np.array([[*mount] for mount in mounts]))
+        poses = compose_poses(base, np.array([[*scan.mount] for scan in scans.scans]))
         features = prepare(load_map(path), path.stem)
         places.append(Place(Path(log).stem, features, replace(scans, poses=poses)))
     return places

@@ -41,7 +41,6 @@ class Playing:
     count: int = 0  #: scans to play; 0: all
     times: int = 1  #: how often, one after the other
     amcl: Path | None = None  #: true poses on /amcl_pose, 3 m off once there is this file
-    stay: float = 0.0  #: seconds to stay after the last scan, saying nothing
 
 
 WORLD, START = "double_wall", Pose2D(18.3, 3.1, -0.05)
@@ -131,11 +130,10 @@ class Player:
                     self.show(maps.pop(0))
                 stamp = float(log.stamps[k]) if how.clock else begin + late
                 if how.amcl is not None and log.poses is not None:
-                    mount = log[k].T_base_laser or Pose2D(0.0, 0.0)
-                    pose, off = base_of(Pose2D(*log.poses[k]), mount), 3.0 * how.amcl.exists()
+                    pose = base_of(Pose2D(*log.poses[k]), log[k].mount)
+                    off = 3.0 * how.amcl.exists()
                     self._amcl.publish(self._claim(replace(pose, x=pose.x + off), stamp))
                 self._step(k, log[k], None if log.odom is None else log.odom[k], stamp)
-        time.sleep(how.stay)
 
     def _claim(self, pose: Pose2D, stamp: float) -> Any:
         at = {"sec": math.floor(stamp), "nanosec": round(999_999_999 * (stamp % 1.0))}

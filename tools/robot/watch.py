@@ -113,7 +113,7 @@ def spoiled(
 def _twin(features: MapFeatures, scan: LaserScan, at: FloatArray) -> FloatArray:
     """Where a scan taken at a pose (3,) fits second best, or the opposite side of the map."""
     fits = localize(features, scan, Options(threads=1)).hypotheses
-    some = [base_of(f.pose, scan.T_base_laser or Pose2D(0.0, 0.0)) for f in fits]
+    some = [base_of(f.pose, scan.mount) for f in fits]
     far = [[*p] for p in some if np.hypot(p.x - at[0], p.y - at[1]) > OFF[0]]
     grid = features.grid
     middle = np.array([*grid.occupied.shape[::-1], 0.0]) * grid.resolution / 2
