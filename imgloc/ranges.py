@@ -229,6 +229,8 @@ def value_of(field: Declared, text: str) -> Any:
     """
     option, kind = field.option, field.kind
     value: Any = text
+    if kind is Path and not text:
+        raise ConfigError("got nothing, expected a path")
     if option is not None and option.parse is not None:
         value = option.parse(Path(text) if kind is Path else text)
     elif get_origin(kind) is tuple:
@@ -239,8 +241,6 @@ def value_of(field: Declared, text: str) -> Any:
         with contextlib.suppress(ValueError):
             value = number(text)
             value = math.radians(value) if field.in_degrees else _whole(text, value, kind)
-    elif kind is Path and not text:
-        raise ConfigError("got nothing, expected a path")
     elif kind is not str and kind is not Any:
         value = kind(text)
     check = check_of(field.hint)

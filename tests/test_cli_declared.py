@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import pytest
 import typer
-from command import MAPS, ROOT, call, params_of, parsed, tree
+from command import MAPS, ROOT, call, params_of, parsed, rows, tree
 
 from imgloc.cli import app
 from imgloc.cli.command import GONE, Only, Without, command, value_of
@@ -202,6 +202,7 @@ def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> Non
     ("report output --json", "--json: is no option here; this command would not notice it"),
     ("batch curved --out o --force", "--force: is no option here; nothing would be written over"),
     ("localize curved s.npz --cache=", "--cache: got nothing, expected a path"),
+    ("serve curved --topic x", "--topic: is no option here; imgloc convert LOG scans.npz with it"),
     ("demo --resolution 1", "--resolution: is no option here; it reads no map"),
     ("localize curved s.npz --resolution 0", "--resolution: got 0, expected metres, 0.001 to 10"),
     ("localize curved s.npz --threads 0", "--threads: got 0, expected a whole number, 1 or more"),
@@ -254,3 +255,15 @@ def test_each_option_is_in_a_guide_or_an_example() -> None:
     known = {*re.findall(r"--[a-z][a-z-]+", text)}
     known |= {f"--{name.replace('_', '-')}" for name in re.findall(r"`([a-z_]+)`", text)}
     assert sorted(ours - known) == []
+
+
+def test_what_may_be_repeated_counts_wherever_it_stands(tmp_path: Path) -> None:
+    call("simulate", "curved", "-n", 3, "--out", tmp_path / "s.npz").ends(0)
+    words = ("localize", "curved", tmp_path / "s.npz", "--json", "--scans-index", 2)
+    said = rows(call("--scans-index", 0, *words).out)
+    assert [row["index"] for row in said] == [0, 2]
+
+
+@pytest.mark.parametrize("words", [("localize", "curved", ""), ("serve", ""), ("inspect", "")])
+def test_an_empty_path_is_no_folder(words: tuple[str, ...]) -> None:
+    call(*words).ends(2, "got nothing, expected a path", out="")

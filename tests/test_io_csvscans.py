@@ -272,6 +272,13 @@ def test_the_order_of_an_rplidar_is_named(tmp_path: Path, caplog, monkeypatch) -
     (scan,) = loaded(tmp_path, table([], rows)).scans
     np.testing.assert_allclose(scan.ranges, RANGES[0])
     assert "an RPLIDAR, which turns clockwise: pass `flipped=True`" in caplog.text
+    caplog.clear()  # a column that counts is no quality, and no angle
+    counted = [[k, a, r] for k, (_, a, r) in enumerate(rows)]
+    for lines in (counted, [[k, r, a] for k, a, r in counted]):
+        (scan,) = loaded(tmp_path, table([], lines)).scans
+        np.testing.assert_allclose(scan.ranges, RANGES[0])
+        np.testing.assert_allclose(scan.angles, np.deg2rad(np.arange(0, 360, 10)))
+    assert "RPLIDAR" not in caplog.text
 
 
 def test_a_table_of_windows_has_its_degrees(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ GONE: Mapping[str, str] = {
 }  # fmt: skip
 # How hints about files begin, and the parameters of commands that read some.
 _READ = (
-    ("imgloc convert", "scans", ("scans", "scans_path", "scans_paths", "log", "files")),
+    ("imgloc convert", "scans", ("scans", "scans_path", "scans_paths", "log", "files", "port")),
     ("imgloc map", "map", ("maps", "map_path", "maps_dir", "files", "a_path")),
 )
 #: Options that come first in the help, as many as :data:`_FIRST` of them.
@@ -223,6 +223,8 @@ def value_of(field: Declared, text: Any) -> Any:
     try:
         if not isinstance(text, list):
             return text if isinstance(text, bool) else ranges.value_of(field, text)
+        if get_args(field.kind) == (Path,) and "" in text:
+            raise ConfigError("got nothing, expected a path")
         if option is not None and option.joined:
             return ranges.value_of(field, ",".join(text))
         items = map(Path, text) if get_args(field.kind) == (Path,) else text

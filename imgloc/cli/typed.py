@@ -67,6 +67,9 @@ class Shares:
                 ctx.fail(f"Option {word!r} requires an argument.")
         rest: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
         texts = {p.opts[0]: ctx.params.pop(p.name) for p in self.shared(ctx)}
-        given = {flag: text for flag, text in texts.items() if text not in (None, [], ())}
-        ctx.meta.setdefault(SHARED, {}).update(given)
+        before = ctx.meta.setdefault(SHARED, {})
+        for flag, text in texts.items():
+            if text not in (None, [], ()):  # of what may be repeated, all that was typed
+                again = isinstance(text, list) and flag in before
+                before[flag] = [*before[flag], *text] if again else text
         return rest

@@ -366,7 +366,7 @@ class _Table:
             return self._readings(by, [("", 0, _factor(u[1]) if u else 1.0) for u in units])
         if not names and self._turns(fov):
             return self._columns(0, 1.0)
-        if not self.settings and count < 4 and len(self.rows) > _MANY:
+        if not self.settings and 1 < count < 4 and len(self.rows) > _MANY:
             expected = "expected a first line of names: angle,range,quality"
             raise ScanError(f"{self.name}: lines of {count} numbers, {expected}")
         return None
@@ -428,6 +428,8 @@ class _Table:
         if max(0.5, *even[:2]) < one or max(0.5, *even[-2:]) < other:
             raise ScanError(f"{self.name}: its columns{_POINTS}")
         values = [len(np.unique(column)) for column in table.T]
+        if len(even) > 2 and 2 * max(even[1:]) > 1 and (np.diff(table[:, 0]) == 1).all():
+            even[0] = values[0] = 0  # it counts the readings
         at = int(np.argmax(even)) if len(table) > _EVEN else 0
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
         apart = 8 if [at, *rest] == [0, 2, 1] else 2  # nobody has a quality before the range
@@ -438,7 +440,7 @@ class _Table:
             raise ScanError(f"{self.name}: no column rises or falls; expected {expected}")
         if at:
             text = f"column {at + 1} rises or falls evenly: it is taken for the angle"
-            text += _CLOCKWISE * ([at, *rest] == [1, 2, 0])
+            text += _CLOCKWISE * ([at, *rest] == [1, 2, 0] and values[0] > 0)
             _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
         return {"angle": at, "range": rest[0]}
 

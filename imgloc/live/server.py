@@ -201,6 +201,8 @@ def serve(service: Service, one: socket.socket, ready: Callable[[], object]) -> 
     try:
         with _logged_aside():
             asyncio.run(run())
+    except asyncio.CancelledError:  # by Ctrl-C, before signals were the server's
+        raise KeyboardInterrupt from None
     finally:
         one.close()
     if failed:

@@ -42,7 +42,8 @@ def beside(
     ConfigError
         If there is no program in the folder; if one ends, or answers with something else.
     """
-    programs = [p for p in sorted(folder.iterdir()) if p.is_file() and os.access(p, os.X_OK)]
+    there = sorted(folder.iterdir()) if folder.is_dir() else []
+    programs = [p for p in there if p.is_file() and os.access(p, os.X_OK)]
     if not programs:
         raise ConfigError(f"{folder}: expected programs that answer scans")
     if told.poses is None:
