@@ -270,8 +270,7 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             kind, more = getattr(file, "RosCommand", Command), getattr(file, "FORMATS", "")
             groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
     app = groups[""]
-    start = with_options_of_program(root, *shared)
-    app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(start)
+    app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(with_options_of_program(root, *shared))
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."
     )

@@ -538,8 +538,7 @@ def robot_poses(scans: ScanSet) -> FloatArray | None:
     """Known poses (N, 3) of the robot, map frame; of the sensor if its mounting is unknown."""
     if scans.poses is None:
         return None
-    mounts = np.array([[*scan.mount] for scan in scans.scans])
-    return compose_poses(scans.poses, invert_poses(mounts))
+    return compose_poses(scans.poses, invert_poses(np.array([[*s.mount] for s in scans.scans])))
 
 
 def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:

@@ -37,8 +37,6 @@ class ParticleOptions(ScannedOptions):
     most: Count = number("ParticleOptions.most")
     #: KLD-sampling: largest distance of the distributions, nats
     error: Annotated[float, Within(1e-6, 1e6, "nats")] = number("ParticleOptions.error")
-    #: KLD-sampling: quantile of the normal distribution
-    quantile: Annotated[float, Within(0, 10, "deviations")] = float(ndtri(MASS[0]))
     #: method whose p(x | z) new particles are drawn from
     reset_by: Annotated[str, OneOf(*ALL_METHODS)] = "ght-v"
     #: rates of the long and the short mean of the likelihood
@@ -142,7 +140,7 @@ class ParticleFilter(ScannedFilter):
         how, rng = self.how, self._rng
         kept = self.poses[low_variance(self.weights, how.most, rng)]
         bins = len(first_in_cell(kept, *self.options.fused.separation))
-        n = int(np.clip(kld_bound(bins, how.error, how.quantile), how.least, how.most))
+        n = int(np.clip(kld_bound(bins, how.error, ndtri(MASS[0])), how.least, how.most))
         anew = round(share * n)
         spread = np.array([how.jitter[0], how.jitter[0], how.jitter[1]])
         old = self.poses[low_variance(self.weights, n - anew, rng)]

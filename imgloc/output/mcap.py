@@ -74,8 +74,7 @@ class Recording:
             self._began = True
         if moment.best is not None:
             topic = self._topics.get(scan.laser, next(iter(self._topics.values())))
-            at = compose(moment.best, scan.mount)
-            links.append(link_fields(at, header, frame_of(topic)))
+            links.append(link_fields(compose(moment.best, scan.mount), header, frame_of(topic)))
             angles, ranges = evenly(scan)
             even = replace(scan, angles=angles, ranges=ranges, stamp=seconds)
             write(topic, LASER, seconds, scan_to_msg(even, frame_of(topic)))
