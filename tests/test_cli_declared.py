@@ -202,7 +202,7 @@ def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> Non
     ("report output --json", "--json: is no option here; this command would not notice it"),
     ("batch curved --out o --force", "--force: is no option here; nothing would be written over"),
     ("localize curved s.npz --cache=", "--cache: got nothing, expected a path"),
-    ("serve curved --topic x", "--topic: is no option here; imgloc convert LOG scans.npz with it"),
+    ("serve curved --topic 1", "--topic: is no option here; imgloc convert LOG scans.npz with it"),
     ("demo --resolution 1", "--resolution: is no option here; it reads no map"),
     ("localize curved s.npz --resolution 0", "--resolution: got 0, expected metres, 0.001 to 10"),
     ("localize curved s.npz --threads 0", "--threads: got 0, expected a whole number, 1 or more"),

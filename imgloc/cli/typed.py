@@ -66,10 +66,8 @@ class Shares:
             if word in lacking and (value.partition("=")[0] in known or alone):
                 ctx.fail(f"Option {word!r} requires an argument.")
         rest: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
-        texts = {p.opts[0]: ctx.params.pop(p.name) for p in self.shared(ctx)}
         before = ctx.meta.setdefault(SHARED, {})
-        for flag, text in texts.items():
+        for flag, text in [(p.opts[0], ctx.params.pop(p.name)) for p in self.shared(ctx)]:
             if text not in (None, [], ()):  # of what may be repeated, all that was typed
-                again = isinstance(text, list) and flag in before
-                before[flag] = [*before[flag], *text] if again else text
+                before[flag] = [*before.get(flag, ()), *text] if isinstance(text, list) else text
         return rest

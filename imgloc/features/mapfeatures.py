@@ -140,8 +140,7 @@ class MapFeatures:
 
         (H, W) float32; on very large maps (see :attr:`peels`) bytes of whole cells, at most 255.
         """
-        made = distance_image if self.peels else whole_steps
-        return read_only(made(self.grid.occupied))
+        return read_only((distance_image if self.peels else whole_steps)(self.grid.occupied))
 
     @property
     def furnished(self) -> "MapFeatures | None":

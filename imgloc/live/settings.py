@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 from imgloc.errors import ConfigError
@@ -68,26 +69,21 @@ CHANGING = {"every", "metres", "tries", "max_age", "scan_timeout", "least_deviat
             "range_max", "height"}  # fmt: skip
 
 
+_topics_option = partial(option, (), metavar="TOPIC", parse=_topics, joined=True)
+
+
 @dataclass(frozen=True)
 class Settings(Rules):
     """Settings of the node; each field is a ROS parameter of its name."""
 
-    scan_topics: tuple[_Topic, ...] = option(
-        (),
+    scan_topics: tuple[_Topic, ...] = _topics_option(
         "Topic of a laser. Repeat it for several lasers. [default: scan, or none with --cloud]",
         "--scan",
-        metavar="TOPIC",
-        parse=_topics,
-        joined=True,
     )
-    cloud_topics: tuple[_Topic, ...] = option(
-        (),
+    cloud_topics: tuple[_Topic, ...] = _topics_option(
         "Topic of a 3-D lidar or depth camera, whose clouds of points are cut at --height. Repeat "
         "it for several.",
         "--cloud",
-        metavar="TOPIC",
-        parse=_topics,
-        joined=True,
     )
     height: tuple[Place, ...] = option(
         (),
