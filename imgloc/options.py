@@ -296,9 +296,8 @@ class FusedOptions(Checked):
     rays: Count = number("FusedOptions.rays")
     #: number of places that get the second look
     second_look: Count = number("FusedOptions.second_look")
-    #: number of hypotheses that get the second look however far they are behind the best one: more
-    #: than are listed, because some settle at one place
-    least_look: Annotated[int, Within(0, 1e12, "hypotheses")] = 2 * AT_LEAST
+    #: number of hypotheses that get the second look however far they are behind the best one
+    least_look: Annotated[int, Within(0, 1e12, "hypotheses")] = number("FusedOptions.least_look")
     #: nats behind the best pose of the first look from which others get no second one
     behind: Nats = number("FusedOptions.behind")
     #: number of poses that get the second look whatever their place: between the two layers of a
