@@ -66,8 +66,8 @@ class Shares:
             if word in lacking and (value.partition("=")[0] in known or alone):
                 ctx.fail(f"Option {word!r} requires an argument.")
         rest: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
-        before = ctx.meta.setdefault(SHARED, {})
+        had = ctx.meta.setdefault(SHARED, {})
         for flag, text in [(p.opts[0], ctx.params.pop(p.name)) for p in self.shared(ctx)]:
-            if text not in (None, [], ()):  # of what may be repeated, all that was typed
-                before[flag] = [*before.get(flag, ()), *text] if isinstance(text, list) else text
+            if text not in (None, [], ()):  # older versions of Typer have a tuple of several
+                had[flag] = [*had.get(flag, ()), *text] if isinstance(text, list | tuple) else text
         return rest
