@@ -12,6 +12,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 from markupsafe import Markup
 
 from imgloc.__about__ import __version__
+from imgloc.doors import JOBS
 from imgloc.errors import OutputError
 from imgloc.io.files import PathLike, display
 from imgloc.output.export import flat
@@ -129,6 +131,22 @@ class _Counted(BatchSummary):
         self.errors += [error for error in errors if error is not None]
 
 
+def _plain(folder: PathLike) -> list[Column]:
+    """Columns of a job that has none of its own: the numbers and texts of its first answer."""
+    answers = (answer for row in read_rows(folder) for answer in row["answers"])
+    values = flat(next(answers, {}))
+    return [
+        Column(key, key, at=partial(_shown, key))
+        for key, value in values
+        if isinstance(value, str | int | float)
+    ]
+
+
+def _shown(place: str, answer: Row) -> str | None:
+    value = _at(answer, place) if isinstance(answer, dict) else None
+    return f"{value:.6g}" if isinstance(value, float) else None if value is None else str(value)
+
+
 def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
     """Write the page about a folder of results, HTML; it is to be `beside` others in a folder.
 
@@ -138,10 +156,10 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
         If it is not the folder of a batch, or cannot be read.
     """
     run, summary = read_run(folder), _Counted()
-    if (job := run["job"]) not in _ANSWERS:
-        known = ", ".join(_ANSWERS)
+    if (job := run["job"]) not in JOBS:
+        known = ", ".join(JOBS)
         raise OutputError(f"{display(folder)}: results of the job {job!r}, expected {known}")
-    columns = [*_ITEM, *_ANSWERS[job]]
+    columns = [*_ITEM, *(_ANSWERS.get(job) or _plain(folder))]
     answers, failures, pictures = list[list[Any]](), list[list[Any]](), list[Any]()
     pages = list[Any]()
     kinds = Counter[tuple[str, str]]()
