@@ -25,6 +25,7 @@ from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Every, Options, Shared
 from imgloc.pipeline import prepare
 from imgloc.robot.lasers import Laser
+from imgloc.search.adapt import Told
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.filters import Searches, piece
@@ -315,7 +316,7 @@ def test_walls_that_are_known_to_be_too_thick_are_thinner() -> None:
 
 
 def test_bent_walls_are_found_along_the_way_and_the_belief_begins_again(monkeypatch) -> None:
-    monkeypatch.setattr("imgloc.filters.tracker.wall_evidence", lambda *_: BENT_WALLS)
+    monkeypatch.setattr("imgloc.filters.tracker.told_by", lambda *_: Told(BENT_WALLS))
     bad = replace(Options(), fused=replace(Options().fused, strained=0.0))  # no scan fits
     tracker = make_filter("tracker", features_of(WORLD), bad)
     tracker.how = replace(tracker.how, walls=(2, 2.5), sure=(100.0, 100.0))  # never unique
@@ -395,16 +396,19 @@ def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(
     monkeypatch: pytest.MonkeyPatch, spread: float, expected: float
 ) -> None:
     tracker = tracker_of()
+    tracker.options = replace(tracker.options, fused=replace(tracker.options.fused, strained=0.0))
     drawn = iter(1.03 * np.exp(spread * np.array([-1, -0.5, 0, 0, 0.5, 1])))
-    monkeypatch.setattr("imgloc.filters.tracker.stretched", lambda *_: (float(next(drawn)), 60.0))
+    monkeypatch.setattr(
+        "imgloc.filters.tracker.told_by", lambda *_: Told(scaled=60.0, scale=float(next(drawn)))
+    )
     tracker.place(np.array([5.0, 7.0, 0.0]), (0.1, 0.1))
     for _ in range(6):
-        tracker._stretch(view_of(log()[0], Options()), fits=False)
+        tracker._judge_shared(view_of(log()[0], Options()), tracker._poses[:1])
     assert tracker.options.shared.scale == pytest.approx(expected)
     if expected != 1.0:  # and none again where later scans cannot tell it from none
         drawn = iter(np.full(6, 1 / 1.025))
         for _ in range(6):
-            tracker._stretch(view_of(log()[0], Options()), fits=False)
+            tracker._judge_shared(view_of(log()[0], Options()), tracker._poses[:1])
         assert tracker.options.shared.scale == 1.0
 
 

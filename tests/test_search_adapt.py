@@ -16,7 +16,7 @@ from imgloc.options import Drawn, FusedOptions, Options, Sensor, Shared
 from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
 from imgloc.pipeline import localize
-from imgloc.search.adapt import BENT, adapt, drawn_gain, drawn_walls, wall_evidence, walls_of
+from imgloc.search.adapt import BENT, Told, adapt, drawn_gain, drawn_walls, judged, told_by
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import score_readings
 from imgloc.simulation.scans import simulate
@@ -66,8 +66,8 @@ def bent(grid):
 def walls_in(features, scans=None):
     """What scans of the world say together about the walls of a map."""
     found = [pipeline.find_modes(features, s, Options()) for s in scans or world()[1].scans]
-    evidence = [wall_evidence(features, f.readings, f.poses, Options()) for f in found]
-    return walls_of(np.array(evidence), Shared(1.02))
+    told = [told_by(features, f.readings, f.poses, Shared(), Options()) for f in found]
+    return judged(told, Shared())
 
 
 def test_walls_that_others_drew_are_taken_for_bent_by_one_scan():
@@ -123,9 +123,12 @@ def test_where_no_sensor_can_be_nothing_speaks_for_bent_walls():
 
 
 def test_scans_tell_together_what_walls_a_map_has():
-    assert walls_in(features()) == Shared(1.02)
-    assert walls_in(thick_features()) == Shared(1.02, 2)
+    assert walls_in(features()) == Shared()
+    assert walls_in(thick_features()) == Shared(thinner=2)
     assert walls_in(MapFeatures(bent(world()[0]))).bent == BENT
+    scaled = walls_in(features(), [scan.scaled(1 / 1.04) for scan in world()[1].scans])
+    assert scaled.scale == pytest.approx(1.04, abs=0.01)
+    assert replace(scaled, scale=1.0) == Shared()
 
 
 def test_furniture_that_no_map_shows_is_no_bent_wall():
@@ -136,14 +139,17 @@ def test_furniture_that_no_map_shows_is_no_bent_wall():
         cv2.rectangle(occupied, (column, row), (column + wide, row + high), 1, -1)
     there = replace(grid, occupied=occupied > 0, free=grid.free & (occupied == 0))
     sensor = Sensor(fov=2 * np.pi, rays=181, range_max=30.0)
-    assert walls_in(features(), simulate(there, 6, 4, sensor, there).scans) == Shared(1.02)
+    assert walls_in(features(), simulate(there, 6, 4, sensor, there).scans) == Shared()
 
 
 def test_what_is_known_of_the_walls_is_kept_where_scans_say_no_more():
+    def of(walls, now):
+        return judged([Told(one) for one in walls], now)
+
     told = np.zeros((3, 4, 2)) + [0.0, -20.0]
-    assert walls_of(told, Shared(1.0, 7, 0.3)) == Shared(1.0, 7, 0.3)
+    assert of(told, Shared(1.0, 7, 0.3)) == Shared(1.0, 7, 0.3)
     told[:, 1, 0] = told[:, 0, 1] = 4.9  # nats per scan: too few for thinner walls, or bent ones
-    assert walls_of(told, Shared()) == Shared()
+    assert of(told, Shared()) == Shared()
 
 
 def away(answer, pose):

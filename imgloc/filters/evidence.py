@@ -21,7 +21,6 @@ from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import RADIUS, TOLERANCE, FusedOptions, Options
 from imgloc.pipeline import find_modes, find_modes_by_steps
-from imgloc.search.adapt import FROM_SCALES
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
 from imgloc.search.refine import FROM_CELLS, WIDTHS, endpoints, refine
@@ -230,16 +229,3 @@ def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Opt
 def misfit_near(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
     """Least misfit of poses (C, 3) of the robot after refinement, nats per reading."""
     return misfit_at(features, view, settled(features, view, poses), options)
-
-
-def stretched(
-    features: MapFeatures, view: View, pose: FloatArray, options: Options
-) -> tuple[float, float]:
-    """Fit a scale of the readings at a pose (3,) of the robot: the factor, and the nats gained."""
-    same = np.tile(view.sensor(pose), (len(FROM_SCALES), 1))
-    poses = np.column_stack((same, FROM_SCALES))
-    poses = refine(poses, view.readings.xy, features.field, sigmas=FROM_CELLS)
-    poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
-    score = score_readings(features, view.readings, poses, options.model)
-    best = 1 + int(np.argmax(score[1:]))
-    return float(poses[best, 3]), float(score[best] - score[0])

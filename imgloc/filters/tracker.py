@@ -29,7 +29,6 @@ from imgloc.filters.evidence import (
     settled,
     sight,
     squares,
-    stretched,
     usable,
     view_of,
 )
@@ -53,7 +52,7 @@ from imgloc.options import (
 )
 from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
-from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, walls_of
+from imgloc.search.adapt import BENT, Told, drawn_gain, drawn_walls, judged, told_by
 from imgloc.search.hypotheses import masses, separated
 from imgloc.search.weigh import MODES
 
@@ -121,11 +120,8 @@ class TrackerOptions(Checked):
     #: such seconds, and after a sudden error of odometry, which may be the next bay of a building
     #: that repeats
     dark: tuple[Share, Share, Share] = number("TrackerOptions.dark")
-    #: number of scans whose median may change the scale of the readings, nats that they must gain
-    #: together, and least distance of the scale from 1: as a logarithm, and in standard errors
-    stretch: tuple[Count, Nats, Nats, Nats] = number("TrackerOptions.stretch")
-    #: number of searched scans that fit nowhere and tell together whether the walls are drawn too
-    #: thick, or bent; and metres with unique poses after which walls are good as they are
+    #: number of scans that tell together whether the walls are drawn too thick, or bent, or the
+    #: readings have another scale; and metres with unique poses after which walls are not bent
     walls: tuple[Count, Metres] = number("TrackerOptions.walls")
     #: score on bent walls: they stop no reading, and all readings count alike, because scans of
     #: many places are weighed together
@@ -234,8 +230,7 @@ class Tracker:
         self._turned = 0.0  # radians at about the same place
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._lasers = Lasers(self.options.shared.usual)
-        self._scales = list[tuple[float, float]]()
-        self._drawn, self._walls = features, list[FloatArray]()
+        self._drawn, self._told = features, list[Told]()
         self._gain = 0.0  # nats by which scans fit better with walls as others draw them
         self._trusted = 0.0  # metres driven with a unique pose
         self._uncounted = 0.0  # metres whose scans count neither as agreeing nor at all yet
@@ -420,7 +415,9 @@ class Tracker:
         due = strange or self._unsearched >= self._pause
         found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.
-        if due and len(found.poses) and self._judge_walls(view, found.poses):
+        nowhere = due and len(found.poses) > 0 and self._trusted < how.walls[1]
+        if nowhere and self._judge_shared(view, found.poses):
+            self._begin_again()
             found = self._search(used, view, due=True, strange=True)
             known = len(self._poses)
         near = settled(self.features, view, self._poses, self._covariance)
@@ -453,21 +450,22 @@ class Tracker:
             gone = lost * min(np.exp(_MOST), unknown / (1 - unknown)) ** new
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
-            odds = max(self._told(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
+            odds = max(self._odds(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
         self._settle(seen, at, laser, self._mapped(gained))
         self._normalise()
         self._bear(seen, 2 * known, new)
         self._tidy()
-        self._agree(view, laser, mapped)
+        self._agree(view, laser, mapped, told=nowhere)
         self._judge_map(self._explains(laser, mapped))
         self._remember()
 
-    def _agree(self, view: View, laser: Laser, mapped: bool) -> None:
+    def _agree(self, view: View, laser: Laser, mapped: bool, *, told: bool) -> None:
         """Count the scans that agree with the best component, and learn from this one.
 
-        `mapped` is whether the map explains the scan there better than a building on no map.
+        `mapped` is whether the map explains the scan there better than a building on no map, `told`
+        whether the scan was asked for shared errors already.
         """
         how = self.how
         least = how.mass[self.options.shared.bent > 0]
@@ -480,8 +478,8 @@ class Tracker:
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
-            if alone and not self.options.shared.bent:  # whose offsets look like a scale
-                self._stretch(view, fits=laser.last <= self.options.fused.strained)
+            if alone and not told:
+                self._judge_shared(view, self._poses[:1])
 
     def _search(
         self, scan: LaserScan, view: View, *, due: bool, strange: bool, at_once: bool = False
@@ -512,33 +510,38 @@ class Tracker:
         found = begun.places(MODES)
         return Places(settled(self.features, view, found.poses), found.spread)
 
-    def _judge_walls(self, view: View, poses: FloatArray) -> bool:
-        """Take the walls for thinner or for bent if some scans together fit far better so.
+    def _judge_shared(self, view: View, poses: FloatArray) -> bool:
+        """Allow for an error that all readings share if some scans together fit far better so.
 
-        Returns whether it did. `poses` (C, 3) are places of the robot that a search found. Once
-        poses were unique for some metres, the walls are good enough as they are.
+        Returns whether it did. `poses` (C, 3) are places where the robot may be. A scan that fits
+        at one of them speaks for the errors in use.
         """
-        shared, options = self.options.shared, self.options
-        if self._trusted >= self.how.walls[1] or shared.bent or shared.straight:
+        shared, options, told = self.options.shared, self.options, Told()
+        if shared.bent:  # offsets of bent walls look like a scale
             return False
-        if misfit_at(self.features, view, poses, options) <= options.fused.strained:
+        sure = self._trusted >= self.how.walls[1]  # walls that were good for so long are not bent
+        if misfit_at(self.features, view, poses, options) > options.fused.strained:
+            at = view.sensor(poses)
+            if not sure:
+                self._gain += drawn_gain(self._drawn, view.readings, at, options)
+                drawn = drawn_walls(self._drawn, self._gain, shared)
+                if drawn != shared:
+                    return self._share(replace(drawn, bent=BENT))
+            told = told_by(self._drawn, view.readings, at, shared, options)
+        self._told.append(told)
+        del self._told[: -self.how.walls[0]]
+        if len(self._told) < self.how.walls[0]:
             return False
-        at = view.sensor(poses)
-        self._gain += drawn_gain(self._drawn, view.readings, at, options)
-        judged = drawn_walls(self._drawn, self._gain, shared)
-        if judged != shared:
-            judged = replace(judged, bent=BENT)
-        else:
-            self._walls.append(wall_evidence(self._drawn, view.readings, at, options))
-            del self._walls[: -self.how.walls[0]]
-            if len(self._walls) == self.how.walls[0]:
-                judged = walls_of(np.array(self._walls), shared)
-        if judged == shared:
-            return False
-        self.features = self._drawn.thinner(judged.thinner)
-        self.options = self._with(judged, options)
-        self._find, self._walls = None, []  # what replaces the search knows the old walls
-        self._begin_again()
+        found = judged(self._told, replace(shared, straight=shared.straight or sure), self._given)
+        found = replace(found, straight=shared.straight)
+        far = abs(np.log(found.scale / self._given)) >= np.log(options.fused.most_scaled)
+        return found != shared and not far and self._share(found)
+
+    def _share(self, shared: Shared) -> bool:
+        """Allow for an error from now on."""
+        self.features = self._drawn.thinner(shared.thinner)
+        self.options = self._with(shared, self.options)
+        self._find, self._told = None, []  # what replaces the search knows the old walls
         return True
 
     def _mapped(self, gained: FloatArray | float) -> BoolArray:
@@ -567,35 +570,7 @@ class Tracker:
             return self._find(scan)
         return (yield from search_by_steps(self.features, scan, self.options))
 
-    def _stretch(self, view: View, *, fits: bool) -> None:
-        """Change the scale of the readings if some scans together fit far better with another one.
-
-        The new scale is the median of these scans. If it differs from the given scale by less than
-        some standard errors, the given scale is used. A scan that `fits` counts for the scale in
-        use.
-        """
-        (count, gain, least, errors), shared = self.how.stretch, self.options.shared
-        other = stretched(self.features, view, self._poses[0], self.options) if not fits else None
-        self._scales.append(other or (1.0, 0.0))
-        del self._scales[:-count]
-        scales, gains = np.array(self._scales).T
-        if len(gains) < count or gains.sum() <= gain:
-            return
-        logs = np.log(scales * shared.scale)
-        middle = float(np.median(logs))
-        error = 1.25 * float(np.std(logs, ddof=1)) / np.sqrt(count)  # 1.25 times a mean's
-        unsure = max(least, errors * error)
-        if abs(middle - np.log(self._given)) <= unsure:
-            scale = self._given
-        elif unsure < abs(middle - np.log(shared.scale)):
-            scale = float(np.exp(middle))
-        else:
-            return
-        if scale != shared.scale and abs(middle) < np.log(self.options.fused.most_scaled):
-            self.options = replace(self.options, shared=replace(shared, scale=scale))
-            self._scales = []
-
-    def _told(self, seen: Sight, first: int) -> float:
+    def _odds(self, seen: Sight, first: int) -> float:
         """Odds, by a single scan, of the places from the index `first` on; at most exp(_MOST)."""
         log = seen.log_likelihood
         if first == len(log):

@@ -41,7 +41,7 @@ from imgloc.model import (
 )
 from imgloc.options import LOG_METHODS, Calibration, Options, Sensor, Shared, scale
 from imgloc.pipeline import find_modes, localize
-from imgloc.search.adapt import wall_evidence, walls_of
+from imgloc.search.adapt import judged, told_by
 from imgloc.search.faces import any_depth, on_faces
 from imgloc.search.refine import refine
 from imgloc.simulation.scans import simulate
@@ -276,7 +276,7 @@ def fit_along(
     """Fit the walls of a map that others drew from scans that odometry joins.
 
     No scan needs to fit the map by itself. Evenly picked scans show together whether the walls are
-    too thick, or bent: :func:`~imgloc.search.adapt.walls_of`. The tracker then follows the robot
+    too thick, or bent: :func:`~imgloc.search.adapt.judged`. The tracker then follows the robot
     with these walls from anywhere. The misfit that is usual here is the median over the scans whose
     poses are ``unique`` along the way.
 
@@ -327,8 +327,8 @@ def _walls(features: MapFeatures, scans: Sequence[LaserScan], options: Options) 
             found = find_modes(features, scan, options)
             places = np.concatenate((found.poses, found.looked))
             if len(places):
-                evidence.append(wall_evidence(features, found.readings, places, options))
-    return walls_of(np.array(evidence), Shared()) if evidence else Shared()
+                evidence.append(told_by(features, found.readings, places, Shared(), options))
+    return judged(evidence, Shared()) if evidence else Shared()
 
 
 def fit_depth(

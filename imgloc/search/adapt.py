@@ -6,7 +6,8 @@ readings together. If nothing fits well, the poses are refined once more with su
 The error is kept if the readings fit far better with it.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +27,9 @@ FROM_SCALES: tuple[float, ...] = number("adapt.scales")
 THINNER: int = number("adapt.walls")
 """Cells that walls are tried to lose on each side."""
 _GAIN = number("adapt.gain")  # nats per scan that thinner walls, or bent ones, have to gain
+# Least distance of a scale that scans show from the one in use: as a logarithm, and in standard
+# errors.
+_SCALED: tuple[float, float] = number("adapt.scaled")
 BENT: float = number("adapt.bent")
 """Standard deviation of the place of a piece of wall, metres, on a map that is bent."""
 # A map that others drew, as one scan tells: metres that its walls are thick at least, and that
@@ -40,80 +44,123 @@ _AGAINST: tuple[float, float] = number("adapt.against")
 _PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many are used
 
 
-def wall_evidence(
-    features: MapFeatures, readings: Readings, places: FloatArray, options: Options
-) -> FloatArray:
-    """Find how much one scan speaks for walls that are too thick, or bent.
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What one scan tells of the errors that all readings share: nats of its best pose."""
+
+    #: (T, 2) with walls that are 0 to T - 1 cells thinner, straight and bent
+    walls: FloatArray = field(default_factory=lambda: np.zeros((THINNEST + 1, 2)))
+    scaled: float = 0.0  #: with straight walls as they are in use, and another scale
+    scale: float = 1.0  #: that scale: a factor on the ranges
+
+
+def told_by(
+    features: MapFeatures, readings: Readings, places: FloatArray, now: Shared, options: Options
+) -> Told:
+    """Find how much one scan speaks for another scale, or walls that are too thick, or bent.
 
     Summed over scans it parts a map that others drew from the robot's own, even where no scan fits
-    at one place: each scan is placed where it fits best, for each kind of walls anew.
+    at one place: each scan is placed where it fits best, for each error anew.
 
     Parameters
     ----------
     features : MapFeatures
         The map without any correction.
     readings : Readings
-        Readings of the scan.
+        Readings of the scan, their ranges already multiplied by the scale of `now`.
     places : (C, 3) float array, C > 0
         Poses to start from, grid frame: metres, metres, radians.
+    now : Shared
+        The error that is allowed for already.
     options : Options
-        Possible poses and the score.
-
-    Returns
-    -------
-    (T, 2) float array
-        Nats of the best pose, with walls that are 0 to T - 1 cells thinner, straight and bent. A
-        piece of the scan may be a thing of its own: moved furniture is no bent wall.
+        Possible poses and the score. A piece of the scan may be a thing of its own: moved furniture
+        is no bent wall.
     """
-    out = np.full((THINNER + 1, 2), -np.inf)
-    for n in range(THINNER + 1 if features.peels else 1):
-        told = _pieces(features, n, BENT, readings, places[:_PLACES], options, things=True)
-        out[n] = told.sum(axis=1)
-    return out
+    walls, places = np.full((THINNEST + 1, 2), -np.inf), places[:_PLACES]
+
+    def told(thinner: int, places: FloatArray) -> tuple[FloatArray, float]:
+        each, scale = _pieces(features, thinner, BENT, readings, places, options, things=True)
+        return each.sum(axis=1), scale
+
+    for n in range(THINNEST + 1 if features.peels else 1):
+        walls[n] = told(n, places)[0]
+        if n >= max(THINNER, now.thinner) and walls[n, 0] <= walls[n - 1, 0]:
+            break
+    (scaled, _), scale = told(now.thinner, _scaled(places))
+    return Told(walls, float(scaled), scale)
 
 
 def _pieces(
     features: MapFeatures, thinner: int, bent: float, readings: Readings, places: FloatArray,
     options: Options, *, things: bool = False,
-) -> FloatArray:  # fmt: skip
+) -> tuple[FloatArray, float]:  # fmt: skip
     """Evidence of each piece of wall where a scan fits best, straight and bent: (2, P) nats.
 
-    The walls are so many cells thinner, and bent by so many metres, or a piece is one of `things`
-    of their own. The evidence is -inf if a sensor can be at none of the places, (C, 3) or with a
-    scale (C, 4).
+    Also the scale of the best pose on straight walls, a factor. The walls are so many cells
+    thinner, and bent by so many metres, or a piece is one of `things` of their own. The evidence is
+    -inf if a sensor can be at none of the places, (C, 3) or with a scale (C, 4).
     """
     there, straight = features.thinner(thinner), options.fused.model
     poses = refine(places, readings.xy, there.field, sigmas=FROM_CELLS)
     poses = standing(poses, options.prior, there)
     order, parts, _ = pieces(readings.ranges, readings.angles)
     if not len(poses):
-        return np.full((2, len(parts)), -np.inf)
+        return np.full((2, len(parts)), -np.inf), 1.0
     distance = endpoints(poses, readings.xy, there.field)[2][:, order]
     told = [piece_evidence(distance, parts, model) for model in (straight, straight.bending(bent))]
     if things:
         own = things_of_their_own(parts, len(order), straight)
         told = [np.logaddexp(one, own) for one in told]
-    return np.stack([one[one.sum(axis=1).argmax()] for one in told])
+    best = [int(one.sum(axis=1).argmax()) for one in told]
+    scale = float(poses[best[0], 3]) if poses.shape[1] == 4 else 1.0
+    return np.stack([one[k] for one, k in zip(told, best, strict=True)]), scale
 
 
-def walls_of(evidence: FloatArray, now: Shared) -> Shared:
-    """The walls that scans with this :func:`wall_evidence` (N, T, 2) speak for together.
+def judged(told: Sequence[Told], now: Shared, given: float = 1.0) -> Shared:
+    """The errors that scans speak for together; `given` is the scale without any of them.
 
-    How thick walls are, straight ones show: the offset of a bent wall may stand for its thickness.
+    They compete: what gains most is allowed for. How thick walls are, straight ones show: the
+    offset of a bent wall may stand for its thickness. The scale is the median of those of the
+    scans; if it differs from the given one by less than some standard errors, it is that one.
 
     Examples
     --------
-    >>> thick, bent = [[0.0, -20], [30, 10]], [[0.0, 20], [-5, 15]]
-    >>> found = [walls_of(np.array(scans), Shared()) for scans in ([thick, thick], [bent])]
-    >>> [(shared.thinner, shared.bent) for shared in found]
-    [(1, 0.0), (0, 0.15)]
+    >>> def scan(*walls, scaled=0.0):
+    ...     return Told(np.array(walls), scaled, 1.05)
+    >>> thick, bent = scan([0.0, -20], [30, 10], scaled=20.0), scan([0.0, 20], [-5, 15])
+    >>> for scans in ([thick, thick], [bent], [scan([0.0, 0], [10, 0], scaled=40.0)] * 3):
+    ...     found = judged(scans, Shared())
+    ...     print(found.thinner, found.bent, round(found.scale, 2))
+    1 0.0 1.0
+    0 0.15 1.0
+    0 0.0 1.05
     """
-    straight, bent = np.mean(evidence, axis=0).T
+    straight, bent = np.mean([one.walls for one in told], axis=0).T
     n, now_at = int(np.argmax(straight)), min(now.thinner, len(straight) - 1)
-    if straight[n] - straight[now_at] <= _GAIN:
+    if straight[n] <= straight[now_at] + _GAIN:
         n = now_at
-    thinner = now.thinner if n == now_at else n
-    return replace(now, thinner=thinner, bent=BENT if bent[n] - straight[n] > _GAIN else now.bent)
+    scale = _scale_of(told, now, given)
+    cost = _GAIN + price(replace(now, scale=scale), replace(now, scale=given), 0.0)
+    scaled = -np.inf if scale == now.scale else float(np.mean([one.scaled for one in told])) - cost
+    best = max(straight[n], scaled)
+    if not now.straight and bent[n] > best + _GAIN:
+        return replace(now, thinner=now.thinner if n == now_at else n, bent=BENT)
+    if scaled > straight[n]:
+        return replace(now, scale=scale)
+    return replace(now, thinner=now.thinner if n == now_at else n)
+
+
+def _scale_of(told: Sequence[Told], now: Shared, given: float) -> float:
+    """The scale that scans show; that of `now` if theirs is not another one."""
+    least, errors = _SCALED
+    logs = np.log([one.scale * now.scale for one in told])
+    middle = float(np.median(logs))
+    # The standard error of a median is 1.25 times a mean's.
+    error = 1.25 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs)) if len(logs) > 1 else 0.0
+    unsure = max(least, errors * error)
+    if abs(middle - np.log(given)) <= unsure:
+        return given
+    return float(np.exp(middle)) if unsure < abs(middle - np.log(now.scale)) else now.scale
 
 
 def drawn_gain(
@@ -123,15 +170,17 @@ def drawn_gain(
 
     Each piece of wall counts for a few nats at most, because somebody who stands before a wall
     looks like a wall that is off. Straight walls may have another scale, at its :func:`price`. The
-    parameters are those of :func:`wall_evidence`. The gain is -inf where :func:`drawn_walls` would
+    parameters are those of :func:`told_by`. The gain is -inf where :func:`drawn_walls` would
     change nothing, or a sensor can be at none of the places.
     """
     asked = drawn_walls(features, np.inf, options.shared)
     if asked == options.shared:
         return float("-inf")
     places, known = places[:_PLACES], options.shared.thinner
-    told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
-    scaled = _pieces(features, known, _OFF, readings, _scaled(places), options)
+    told = [_pieces(features, n, _OFF, readings, places, options)[0] for n in range(THINNER + 1)]
+    while len(told) <= THINNEST and told[-1][0].sum() > told[-2][0].sum():
+        told.append(_pieces(features, len(told), _OFF, readings, places, options)[0])
+    scaled, _ = _pieces(features, known, _OFF, readings, _scaled(places), options)
     bent = told[min(asked.thinner, THINNER)][1]
     cost = _AGAINST[0] * np.abs(np.log(FROM_SCALES)).max()
     kinds = [(one[0], 0.0) for one in told] + [(scaled[0], float(cost))]
