@@ -6,8 +6,13 @@ number of its log for each scan)::
     python -m tools.old_maps ../data/wean --starts 8
     python -m tools.old_maps ../data/wean --starts 8 --calibrated
     python -m tools.old_maps ../data/wean --one-scan 60
+    python -m tools.old_maps ../data/gh25 --thicker 2 --starts 4
 
 It prints a row for each log from its true start, and a row for starts spread over it from anywhere.
+The root mean square error and the mean normalised estimation error squared (3 if the claims are
+right) are of the ``unique`` poses. With ``--thicker N`` each wall is N cells thicker on each side,
+with ``--scale F`` all ranges are F times as long.
+
 With ``--calibrated`` the tracker begins with what ``imgloc calibrate --scans`` finds in the set.
 With ``--one-scan N`` it locates each of N scans by itself, with the walls as drawn and with what
 ``imgloc calibrate --scans`` finds in the whole set. A log without odometry gets that of its poses,
@@ -15,6 +20,7 @@ with noise.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -31,12 +37,13 @@ from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.plans.measure import Row, judge
 from tools.recorded import logs_of
 from tools.script import at_least_one, ended, parser_of, show, table_lines
+from tools.trust.disturb import dilated
 
 RIGHT = 1.0  # metres
 FOUND = 30.0  # metres driven after which a robot should be found
 PIECE = 35.0  # metres of a run from anywhere
 ONE = "set | walls | scans | first | unique | unique and wrong | no-match | lists the pose"
-HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m"
+HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m | RMSE m | NEES"
 
 
 def row_of(log: str, start: str, runs: list[Run]) -> tuple[str, ...]:
@@ -47,16 +54,23 @@ def row_of(log: str, start: str, runs: list[Run]) -> tuple[str, ...]:
     found = [errors[0] <= RIGHT for errors in last if len(errors)]
     wrong = f"{np.count_nonzero(unique & ~near)} of {len(near)}"
     shares = f"{near.mean():.2f}", f"{unique.mean():.2f}"
-    return log, start, *shares, wrong, f"{sum(found)} of {len(found)}"
+    off = np.concatenate([run.error[:, 0] for run in runs])[unique]
+    nees = np.concatenate([run.square for run in runs])[unique]
+    exact = (f"{np.sqrt(np.mean(off**2)):.3f}", f"{nees.mean():.1f}") if unique.any() else ("", "")
+    return log, start, *shares, wrong, f"{sum(found)} of {len(found)}", *exact
 
 
-def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[tuple[str, ...]]:
+def rows_of(
+    folder: Path, starts: int, *, calibrated: bool, thicker: int, scale: float
+) -> Iterator[tuple[str, ...]]:
     """The rows of a set."""
-    features, options = prepare(load_map(folder / "map.yaml"), folder.name), Options()
+    grid = dilated(load_map(folder / "map.yaml"), np.random.default_rng(0), thicker)
+    features, options = prepare(grid, folder.name), Options()
     if calibrated:
-        recorded = [scans for _, scans in logs_of(folder)]
-        options = Options(shared=fit_along(features, recorded).shared)
-    for name, scans in logs_of(folder):
+        logs = [scans for _, scans in logs_of(folder)]
+        options = Options(shared=fit_along(features, logs).shared)
+    for name, recorded in logs_of(folder):
+        scans = replace(recorded, scans=tuple(scan.scaled(scale) for scan in recorded.scans))
         make = partial(make_filter, "tracker", features, options)
         poses = robot_poses(scans)
         known = Searches(features, options)  # its clock; the tracker searches by itself
@@ -92,6 +106,8 @@ def main() -> int:
     parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
     parser.add_argument("--starts", type=int, default=8, help="from anywhere, in each log")
     parser.add_argument("--calibrated", action="store_true", help="begin with fitted walls")
+    parser.add_argument("--thicker", type=int, default=0, metavar="CELLS", help="walls, a side")
+    parser.add_argument("--scale", type=float, default=1.0, help="factor on all ranges")
     parser.add_argument("--one-scan", type=int, metavar="N", help="locate N scans one by one")
     parser.add_argument("--seed", type=int, default=1, help="draws these scans")
     given = parser.parse_args()
@@ -102,7 +118,7 @@ def main() -> int:
             ones = (one_scan_rows(f, given.one_scan, given.seed) for f in given.folders)
             return show(table_lines(ONE, chain.from_iterable(ones)))
         at_least_one(starts=given.starts)
-        how = {"calibrated": given.calibrated}
+        how = {k: getattr(given, k) for k in ("calibrated", "thicker", "scale")}
         rows = (row for f in given.folders for row in rows_of(f, given.starts, **how))
         return show(table_lines(HEAD, rows))
 

@@ -415,8 +415,7 @@ class Tracker:
         due = strange or self._unsearched >= self._pause
         found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.
-        nowhere = due and len(found.poses) > 0 and self._trusted < how.walls[1]
-        if nowhere and self._judge_shared(view, found.poses):
+        if due and len(found.poses) and not self._proven and self._judge_shared(view, found.poses):
             self._begin_again()
             found = self._search(used, view, due=True, strange=True)
             known = len(self._poses)
@@ -457,15 +456,14 @@ class Tracker:
         self._normalise()
         self._bear(seen, 2 * known, new)
         self._tidy()
-        self._agree(view, laser, mapped, told=nowhere)
+        self._agree(view, laser, mapped)
         self._judge_map(self._explains(laser, mapped))
         self._remember()
 
-    def _agree(self, view: View, laser: Laser, mapped: bool, *, told: bool) -> None:
+    def _agree(self, view: View, laser: Laser, mapped: bool) -> None:
         """Count the scans that agree with the best component, and learn from this one.
 
-        `mapped` is whether the map explains the scan there better than a building on no map, `told`
-        whether the scan was asked for shared errors already.
+        `mapped` is whether the map explains the scan there better than a building on no map.
         """
         how = self.how
         least = how.mass[self.options.shared.bent > 0]
@@ -478,7 +476,7 @@ class Tracker:
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
-            if alone and not told:
+            if alone and self._proven:
                 self._judge_shared(view, self._poses[:1])
 
     def _search(
@@ -510,6 +508,14 @@ class Tracker:
         found = begun.places(MODES)
         return Places(settled(self.features, view, found.poses), found.spread)
 
+    @property
+    def _proven(self) -> bool:
+        """Whether walls were good for so long that they are not bent: one place is asked of them.
+
+        Before, the places of a search are, because the robot may be at another one.
+        """
+        return self._trusted >= self.how.walls[1]
+
     def _judge_shared(self, view: View, poses: FloatArray) -> bool:
         """Allow for an error that all readings share if some scans together fit far better so.
 
@@ -519,20 +525,23 @@ class Tracker:
         shared, options, told = self.options.shared, self.options, Told()
         if shared.bent:  # offsets of bent walls look like a scale
             return False
-        sure = self._trusted >= self.how.walls[1]  # walls that were good for so long are not bent
         if misfit_at(self.features, view, poses, options) > options.fused.strained:
             at = view.sensor(poses)
-            if not sure:
+            if not self._proven:
                 self._gain += drawn_gain(self._drawn, view.readings, at, options)
                 drawn = drawn_walls(self._drawn, self._gain, shared)
                 if drawn != shared:
                     return self._share(replace(drawn, bent=BENT))
             told = told_by(self._drawn, view.readings, at, shared, options)
+            if not self._proven:  # at wrong places scans fit with any scale
+                told = replace(told, scaled=-np.inf)
         self._told.append(told)
         del self._told[: -self.how.walls[0]]
         if len(self._told) < self.how.walls[0]:
             return False
-        found = judged(self._told, replace(shared, straight=shared.straight or sure), self._given)
+        found = judged(
+            self._told, replace(shared, straight=shared.straight or self._proven), self._given
+        )
         found = replace(found, straight=shared.straight)
         far = abs(np.log(found.scale / self._given)) >= np.log(options.fused.most_scaled)
         return found != shared and not far and self._share(found)

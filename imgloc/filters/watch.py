@@ -140,7 +140,8 @@ class Watch:
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
         if held > _CHANCE:  # one scan alone outweighs no place that holds
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
-        if seen.gained > -_LEAD:
+        # Looks at one place see the same things: each has to be as sure as all of them together.
+        if seen.gained > -_LOOKS[0] * _LEAD:
             return CANNOT, "several places fit, or the scan says little", None
         odds = np.exp(-seen.gained)
         return DISAGREES, f"the scan is {odds:.3g} times as likely in no place", None
