@@ -52,7 +52,15 @@ from imgloc.options import (
 )
 from imgloc.ranges import Checked
 from imgloc.robot.lasers import Laser, Lasers
-from imgloc.search.adapt import BENT, Told, drawn_gain, drawn_walls, judged, told_by
+from imgloc.search.adapt import (
+    BENT,
+    Told,
+    drawn_gain,
+    drawn_walls,
+    image_gain,
+    judged,
+    told_by,
+)
 from imgloc.search.hypotheses import masses, separated
 from imgloc.search.weigh import MODES
 
@@ -539,9 +547,8 @@ class Tracker:
         del self._told[: -self.how.walls[0]]
         if len(self._told) < self.how.walls[0]:
             return False
-        found = judged(
-            self._told, replace(shared, straight=shared.straight or self._proven), self._given
-        )
+        now = replace(shared, straight=shared.straight or self._proven)
+        found = judged(self._told, now, self._given, image_gain(self._drawn))
         found = replace(found, straight=shared.straight)
         far = abs(np.log(found.scale / self._given)) >= np.log(options.fused.most_scaled)
         return found != shared and not far and self._share(found)

@@ -41,7 +41,7 @@ from imgloc.model import (
 )
 from imgloc.options import LOG_METHODS, Calibration, Options, Sensor, Shared, scale
 from imgloc.pipeline import find_modes, localize
-from imgloc.search.adapt import judged, told_by
+from imgloc.search.adapt import image_gain, judged, told_by
 from imgloc.search.faces import any_depth, on_faces
 from imgloc.search.refine import refine
 from imgloc.simulation.scans import simulate
@@ -328,7 +328,7 @@ def _walls(features: MapFeatures, scans: Sequence[LaserScan], options: Options) 
             places = np.concatenate((found.poses, found.looked))
             if len(places):
                 evidence.append(told_by(features, found.readings, places, Shared(), options))
-    return judged(evidence, Shared()) if evidence else Shared()
+    return judged(evidence, Shared(), image=image_gain(features)) if evidence else Shared()
 
 
 def fit_depth(

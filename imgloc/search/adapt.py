@@ -116,10 +116,11 @@ def _pieces(
     return np.stack([one[k] for one, k in zip(told, best, strict=True)]), scale
 
 
-def judged(told: Sequence[Told], now: Shared, given: float = 1.0) -> Shared:
+def judged(told: Sequence[Told], now: Shared, given: float = 1.0, image: float = 0.0) -> Shared:
     """The errors that scans speak for together; `given` is the scale without any of them.
 
-    They compete: what gains most is allowed for. How thick walls are, straight ones show: the
+    They compete: what gains most is allowed for. The `image` speaks for bent walls, too, once: its
+    nats are those of :func:`image_gain`. How thick walls are, straight ones show: the
     offset of a bent wall may stand for its thickness. The scale is the median of those of the
     scans; if it differs from the given one by less than some standard errors, it is that one.
 
@@ -143,7 +144,7 @@ def judged(told: Sequence[Told], now: Shared, given: float = 1.0) -> Shared:
     cost = _GAIN + price(replace(now, scale=scale), replace(now, scale=given), 0.0)
     scaled = -np.inf if scale == now.scale else float(np.mean([one.scaled for one in told])) - cost
     best = max(straight[n], scaled)
-    if not now.straight and bent[n] > best + _GAIN:
+    if not now.straight and bent[n] + image / len(told) > best + _GAIN:
         return replace(now, thinner=now.thinner if n == now_at else n, bent=BENT)
     if scaled > straight[n]:
         return replace(now, scale=scale)
@@ -196,6 +197,13 @@ def drawn_thick(features: MapFeatures) -> bool:
     return features.peels and features.thickness >= _THICK and features.thickness > 2 * cell
 
 
+def image_gain(features: MapFeatures) -> float:
+    """Nats by which the image of an uncorrected map speaks for walls as others draw them."""
+    if not drawn_thick(features):
+        return 0.0
+    return _DOUBT * (min(features.thickness, _THICKEST) - _THICK)
+
+
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
     """Take walls that are drawn thick for bent, unless scans fit far better with straight ones.
 
@@ -214,10 +222,9 @@ def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
     """
     if now.bent or now.straight or not drawn_thick(features):
         return now
-    thickness, cell = features.thickness, features.grid.resolution
-    if gain + _DOUBT * (min(thickness, _THICKEST) - _THICK) <= 0:
+    if gain + image_gain(features) <= 0:
         return now
-    cells = now.thinner or min(THINNER, max(1, round(_LOSES / cell)))
+    cells = now.thinner or min(THINNER, max(1, round(_LOSES / features.grid.resolution)))
     return replace(now, thinner=cells, bent=_OFF, usual=max(now.usual, _USUAL))
 
 
