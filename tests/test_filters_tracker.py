@@ -29,6 +29,7 @@ from imgloc.search.adapt import Told
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.filters import Searches, piece
+from tools.trust.disturb import dilated
 
 WORLD = "visibility"
 
@@ -391,6 +392,15 @@ def test_scales_that_scatter_are_none() -> None:
     assert errors(moments, log())[-1] < 0.2
 
 
+def test_walls_that_are_drawn_too_thick_are_no_scale() -> None:
+    grid = dilated(load_map(WORLD), np.random.default_rng(0), 2)
+    truth, features = Pose2D(*log().poses[0]), prepare(grid)
+    tracker = make_filter("tracker", features, Options())
+    moments = list(follow(features, log(), tracker, start=truth))
+    assert tracker.options.shared == Shared(thinner=2)
+    assert errors(moments, log())[-1] < 0.05
+
+
 @pytest.mark.parametrize(("spread", "expected"), [(0.0, 1.03), (0.026, 1.03), (0.06, 1.0)])
 def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(
     monkeypatch: pytest.MonkeyPatch, spread: float, expected: float
@@ -402,6 +412,7 @@ def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(
         "imgloc.filters.tracker.told_by", lambda *_: Told(scaled=60.0, scale=float(next(drawn)))
     )
     tracker.place(np.array([5.0, 7.0, 0.0]), (0.1, 0.1))
+    tracker._trusted = tracker.how.walls[1]  # before, the place may be another one
     for _ in range(6):
         tracker._judge_shared(view_of(log()[0], Options()), tracker._poses[:1])
     assert tracker.options.shared.scale == pytest.approx(expected)
