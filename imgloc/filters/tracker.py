@@ -541,15 +541,15 @@ class Tracker:
                 if drawn != shared:
                     return self._share(replace(drawn, bent=BENT))
             told = told_by(self._drawn, view.readings, at, shared, options)
-            if not self._proven:  # at wrong places scans fit with any scale
-                told = replace(told, scaled=-np.inf)
         self._told.append(told)
         del self._told[: -self.how.walls[0]]
         if len(self._told) < self.how.walls[0]:
             return False
         now = replace(shared, straight=shared.straight or self._proven)
         found = judged(self._told, now, self._given, image_gain(self._drawn))
-        found = replace(found, straight=shared.straight)
+        # At wrong places scans fit with any scale.
+        scale = found.scale if self._proven else shared.scale
+        found = replace(found, scale=scale, straight=shared.straight)
         far = abs(np.log(found.scale / self._given)) >= np.log(options.fused.most_scaled)
         return found != shared and not far and self._share(found)
 
