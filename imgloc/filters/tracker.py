@@ -518,7 +518,7 @@ class Tracker:
 
     @property
     def _proven(self) -> bool:
-        """Whether walls were good for so long that they are not bent: one place is asked of them.
+        """True if walls were good for so long that they are not bent: one place is asked of them.
 
         Before, the places of a search are, because the robot may be at another one.
         """

@@ -46,7 +46,7 @@ _PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many a
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What one scan tells of the errors that all readings share: nats of its best pose."""
+    """Evidence of one scan for errors that all readings share: nats of its best pose."""
 
     #: (T, 2) with walls that are 0 to T - 1 cells thinner, straight and bent
     walls: FloatArray = field(default_factory=lambda: np.zeros((THINNEST + 1, 2)))
