@@ -588,11 +588,11 @@ class Evidence(ByContent):
     unmapped: float = math.nan
     #: nats, divided by the temperature, by which the best pose beats `unmapped`
     gained: float = math.nan
-    #: nats against the best pose: pieces of the scan are `through` rather than `mapped`, or it fits
+    #: nats against the best pose: walls of the scan are `through` rather than `mapped`, or it fits
     #: only with an error that was found; below 0 if more is for it
     against: float = 0.0
-    mapped: int = 0  #: pieces of the scan that are rather what the map has there
-    through: int = 0  #: pieces of the scan that pass through a mapped wall
+    mapped: int = 0  #: straight walls of the scan that are rather what the map has there
+    through: int = 0  #: straight walls of the scan that pass through a mapped wall
     things: tuple[Thing, ...] = ()  #: pieces that differ from the map, the largest first
     #: factor on the readings with which they fit far better; 1 if none was needed
     scale: float = 1.0

@@ -84,7 +84,7 @@ def test_a_mode_is_at_the_mean_of_its_maxima_unless_that_is_in_a_wall(screen, x)
     wall[10:30, 20] |= screen  # from x = 2.0 m to 2.1 m
     features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
     poses = np.array([[1.9, 2.0, 0.2], [2.2, 2.0, 0.2], [3.5, 1.0, 0.0]])
-    score, pieces = np.array([-50.0, -50.0, -90.0]), [np.zeros((3, 1), bool)] * 3
+    score, pieces = np.array([-50.0, -50.0, -90.0]), [np.zeros((3, 1), bool)] * 4
     scores = Scores(score, score, 0 * score, *pieces, np.ones((3, 4), bool), np.eye(3, 4) > 0)
     mean, best, spread = separate(features, poses, scores, 4, Options())
     np.testing.assert_allclose(mean, [[x, 2.0, 0.2], [3.5, 1.0, 0.0]], atol=1e-12)

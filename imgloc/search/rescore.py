@@ -28,6 +28,9 @@ The first reading of a thing pays for its place, and the others follow from it: 
 on, the next piece of the same thing pays no price. All ways to share the pieces of a scan out are
 summed, piece after piece.
 
+A wall counts once, too, where it is asked how much of a scan the map explains: pieces that go on
+straight are one wall. At a corner another one begins.
+
 What the map has where the sensor is, is gone, and one thing: rays begin where they leave it.
 
 Rays that meet nothing count less, because glass and dark surfaces return none. Where the map has no
@@ -56,8 +59,9 @@ from imgloc.options import EvidenceModel, Options
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
 
-# A piece of wall: radians that it is seen under, and metres between two neighbours that part it.
-_PIECE: tuple[float, float] = number("rescore.piece")
+# A piece of wall: radians that it is seen under, metres between two neighbours that part it, and
+# radians that it turns by where another wall begins.
+_PIECE: tuple[float, float, float] = number("rescore.piece")
 # Offsets that stand for all: how many, and the farthest, standard deviations.
 _OFFSETS: tuple[int, float] = number("rescore.offsets")
 # Nats that a place may be behind the best one to be as good, and how many such places are kept.
@@ -81,9 +85,9 @@ class Scores:
     log_likelihood: FloatArray  #: (C,) nats, each reading by itself
     things: FloatArray  #: (C,) nats, each piece as what the map has there or a thing of its own
     silence: FloatArray  #: (C,) nats of these, 0 or less, for rays that met nothing
-    #: (C, P) pieces, of some readings at least, that are rather what the map has there
-    fits: BoolArray
-    own: BoolArray  #: (C, P) and those that are rather things of their own
+    mapped: IntArray  #: (C,) number of straight walls that are rather what the map has there
+    through: IntArray  #: (C,) and of those most of which pass through a mapped wall
+    own: BoolArray  #: (C, P) pieces, of some readings at least, that are rather things of their own
     passing: BoolArray  #: (C, P) pieces most of which pass through a mapped wall
     #: (C, N) whether a reading ends nearer to a surface than twice the wider sigma
     on_surface: BoolArray
@@ -93,21 +97,6 @@ class Scores:
     def select(self, index: IntArray) -> "Scores":
         """The scores of the poses at `index`."""
         return Scores(*(getattr(self, each.name)[index] for each in fields(self)))
-
-    @property
-    def mapped(self) -> IntArray:
-        """Number of pieces that are rather what the map has there, (C,)."""
-        return np.asarray(self.fits.sum(axis=1))
-
-    @property
-    def through(self) -> IntArray:
-        """Number of pieces that pass through a mapped wall, (C,)."""
-        return np.asarray(self.passing.sum(axis=1))
-
-    @property
-    def explained(self) -> FloatArray:
-        """Share of the readings, 0..1, that end on a surface and cross no wall, (C,)."""
-        return np.asarray((self.on_surface & ~self.crossed).mean(axis=1))
 
 
 def score_poses(
@@ -130,10 +119,31 @@ def score_poses(
     fits = some & (told.pieces > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     things = _whole(told, own, goes_on, model) - _PRICE * _within(features, poses)
+    straight = goes_on & ~turning(readings.xy[order], parts)
     return Scores(
-        told.total, things, told.silence, fits, some & (told.pieces < own), passing, on_surface,
-        crossed,
+        told.total, things, told.silence, walls(fits, straight), walls(passing, straight),
+        some & (told.pieces < own), passing, on_surface, crossed,
     )  # fmt: skip
+
+
+def walls(some: BoolArray, straight: BoolArray) -> IntArray:
+    """Number of walls (C,) of some of the pieces (C, P), if those that are `straight` go on.
+
+    Examples
+    --------
+    >>> walls(np.array([[True, True, False, True]]), np.array([False, True, True, True])).tolist()
+    [2]
+    """
+    before = np.pad(some[:, :-1], ((0, 0), (1, 0)))
+    return np.asarray((some & ~(before & straight)).sum(axis=1))
+
+
+def turning(xy: FloatArray, parts: IntArray) -> BoolArray:
+    """Return whether pieces of endpoints (N, 2) turn against the ones before, bool (P,)."""
+    z = xy @ (1, 1j)
+    sums, squares = np.add.reduceat((z, z * z), parts, axis=1)
+    twice = squares - sums * sums / _sizes(parts, len(z))  # its angle: twice their direction
+    return np.asarray(np.abs(np.angle(twice * np.conj(np.roll(twice, 1)))) > 2 * _PIECE[2])
 
 
 def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ...]:
@@ -143,16 +153,15 @@ def things_at(readings: Readings, scores: Scores, index: int) -> tuple[Thing, ..
     thing. The largest come first.
     """
     order, parts, goes_on = pieces(readings.ranges, readings.angles)
-    through = scores.passing[index]
-    kind = np.where(through, 2, scores.own[index])  # 0 where a piece is what the map has
+    kind = np.where(scores.passing[index], 2, scores.own[index])  # 0: what the map has
     begins = ~goes_on | (np.diff(kind, prepend=-1) != 0)
-    parts, kind, through = parts[begins], kind[begins], through[begins]
+    parts, kind = parts[begins], kind[begins]
     sizes = _sizes(parts, len(order))
     angle = np.angle(np.add.reduceat(np.exp(1j * readings.angles[order]), parts))
     far = np.add.reduceat(readings.ranges[order], parts) / sizes
     found = np.flatnonzero(kind)
     return tuple(
-        Thing(float(angle[k]), float(far[k]), float(sizes[k] / len(order)), bool(through[k]))
+        Thing(float(angle[k]), float(far[k]), float(sizes[k] / len(order)), bool(kind[k] == 2))
         for k in found[np.argsort(-sizes[found], kind="stable")]
     )
 
@@ -352,7 +361,7 @@ def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray, 
     whether it goes on with the surface of the piece before, (P,). Where a surface goes on over the
     first angle, the order begins at the next one.
     """
-    angle, jump = _PIECE
+    angle, jump, _ = _PIECE
     order = np.argsort(angles, kind="stable")
     turned = np.floor((angles[order] - angles[order[0]]) / angle)
     far = np.abs(np.diff(ranges[order], prepend=ranges[order[-1]])) > jump

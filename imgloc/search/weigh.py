@@ -25,7 +25,7 @@ _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
 MODES: int = number("pipeline.modes")
 """Least number of poses to look for, so that no verdict depends on the length of the list."""
-# Nats for a map that explains e times as many pieces of a scan: per logarithm of e.
+# Nats for a map that explains e times as many walls of a scan: per logarithm of e.
 _PIECES = number("weigh.pieces")
 _FLOOR = number("floor.against")  # nats against a pose that is found without a floor
 
@@ -181,8 +181,7 @@ def evidence_of(
     gained = (float(scores.things[best] - scores.silence[best]) - unmapped * n) / temperature.value
     mapped, through = int(scores.mapped[best]), int(scores.through[best])
     against = _PIECES * math.log((1 + through) / (1 + mapped))
-    if floor is not None:  # what may be left out fits more places
-        against += _FLOOR
+    against += _FLOOR * (floor is not None)  # what may be left out fits more places
     return Evidence(
         n, model.best, model.best - float(scores.log_likelihood[best]) / n, unmapped, gained,
         against, temperature=temperature, mapped=mapped, through=through, floor=floor,
@@ -200,7 +199,8 @@ def explained_rays(
     """
     scan, there = scan.scaled(shared.scale), features.thinner(shared.thinner)
     rays = Readings(scan.ranges[scan.valid], scan.angles[scan.valid])
-    return float(score_poses(there, rays, pose, options.model).explained[0])
+    seen = score_poses(there, rays, pose, options.model)
+    return float((seen.on_surface & ~seen.crossed).mean())
 
 
 def settle(

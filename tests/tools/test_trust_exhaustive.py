@@ -63,7 +63,7 @@ def test_two_searches_are_joined_without_their_doubles():
     def found(*told):
         poses, score = np.array([t[:3] for t in told]), np.array([t[3] for t in told])
         seen = np.zeros((len(told), 2), bool)
-        return Modes(poses, Scores(score, score, 0 * score, *[seen] * 5), np.arange(2))
+        return Modes(poses, Scores(score, score, 0 * score, *[seen] * 6), np.arange(2))
 
     a = found((1.0, 1.0, 0.0, 5.0), (9.0, 1.0, 0.0, 4.0))
     b = found((9.1, 1.0, 0.1, 6.0), (3.0, 3.0, 0.0, 1.0))

@@ -24,7 +24,7 @@ from tools.trust.foreign import (
     told,
 )
 from tools.trust.racks import CELL, CHANGES, in_racks
-from tools.trust.things import THINGS
+from tools.trust.things import PLACED, ROOM, THINGS
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_each_scan_is_asked_for_where_it_is_and_where_it_is_not(floors):
 def test_halves_of_a_map_are_asked_for_scans_of_both():
     grid = render(WORLDS["curved"](), 0.1)
     maps = list(at_home([("curved", grid, simulate(grid, 8, 0))]))
-    assert [len(some) for _, some in maps] == [8, *[2 * (1 + len(PRIORS))] * 4]
+    assert [len(some) for _, some in maps] == [n * (1 + len(PRIORS)) for n in (8, 2, 2, 2, 2)]
     for a, b in ((1, 2), (3, 4)):
         assert not (maps[a][0].free & maps[b][0].free).any()
         np.testing.assert_array_equal(maps[a][0].free | maps[b][0].free, grid.free)
@@ -129,7 +129,8 @@ def test_racks_change_where_they_say_and_the_robot_stands_beside_them():
 
 def test_things_are_asked_for_at_home_and_away(capsys):
     assert main(["things", "-n", "1", "--worlds", "curved", "--buildings", "0"]) == 0
-    rows = {line.split(" | ")[0].strip("| "): line for line in capsys.readouterr().out.split("\n")}
-    assert {"undisturbed", *THINGS, *CHANGES, "half the map", *ROOMS} <= set(rows)
-    assert all(WITHOUT in rows[name] for name in THINGS)
+    lines = capsys.readouterr().out.split("\n")
+    rows = {tuple(line.strip("| ").split(" | ")[:2]) for line in lines}
+    names = ("undisturbed", ROOM, *THINGS, *CHANGES, "half the map", *ROOMS)
+    assert {(name, WITHOUT) for name in names} | {pair[::-1] for pair in PLACED} <= rows
     assert main(["things", "-n", "0"]) == 2

@@ -342,8 +342,8 @@ def run_things(given: argparse.Namespace) -> int:
     """What does one changed thing cost? Walls that are gone, glass, a cart, crowds, racks.
 
     Beside the scans with one thing that differs stand undisturbed ones, and those of other floors,
-    other buildings, rooms on no map and halves of maps. Nothing is known of any pose. Prints a
-    Markdown table.
+    other buildings, rooms on no map and halves of maps. Nothing is known of their poses, but of
+    some also the place, as of plain rooms that are on their map. Prints a Markdown table.
     """
     n, seed = given.n, given.seed
     at_least_one(n=n)

@@ -59,18 +59,24 @@ Questions = Iterator[tuple[OccupancyGrid, list[Asked]]]
 """Maps, and the scans that each is asked for."""
 
 
-def at_home(places: Iterable[Place]) -> Questions:
-    """Undisturbed scans, on their map and on each half of it: every fourth on each."""
+def at_home(
+    places: Iterable[Place], changes: Sequence[str] = (UNDISTURBED,), seed: int = 0
+) -> Questions:
+    """Scans after each of some changes, of :data:`SCANS`, and every fourth on each half of its map.
+
+    Those on halves are undisturbed.
+    """
     for name, grid, scans in places:
         pairs = list(scans.with_poses())
-        yield grid, [Asked(f"{name}, undisturbed", name, scan, pose) for scan, pose in pairs]
+        disturbed = [
+            (row, name, SCANS[row](scan, np.random.default_rng((seed, k))), pose, pose)
+            for row in changes
+            for k, (scan, pose) in enumerate(pairs)
+        ]
+        yield grid, [asked for some in disturbed for asked in with_priors(*some)]
         for side in range(4):
-            some = [
-                asked
-                for scan, pose in pairs[side::4]
-                for asked in with_priors("half the map", name, scan, pose, pose)
-            ]
-            yield half_of(grid, side), some
+            halves = [("half the map", name, *pair, pair[1]) for pair in pairs[side::4]]
+            yield half_of(grid, side), [asked for some in halves for asked in with_priors(*some)]
 
 
 def rooms_and_others(
