@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from badfiles import YAML, png, room
 from command import MAPS, call, rows, simulating, untimed
-from serving import Served, served, waits
+from serving import Served, memory, served, waits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -531,19 +531,11 @@ def test_a_bomb_is_refused_before_it_is_unpacked(
     service: Served, http: httpx.Client, name: str
 ) -> None:
     path, body = bombs()[name]
-    before = peak(service)
+    before = memory(service, "VmHWM")
     answer = http.post(path, content=body)
     assert answer.status_code in (413, 422), answer.text
-    assert peak(service) - before < 300 << 10
+    assert memory(service, "VmHWM") - before < 300
     assert http.get("/healthz").status_code == 200
-
-
-def peak(service: Served) -> int:
-    """The peak of the service's memory, kB."""
-    status = Path(f"/proc/{service.process.pid}/status")
-    if not status.exists():
-        pytest.skip("needs Linux: a process that knows its peak")
-    return next(int(s.split()[1]) for s in status.read_text().splitlines() if "VmHWM" in s)
 
 
 def raw(port: int, text: bytes, *, end: bool = False) -> bytes:
