@@ -130,18 +130,26 @@ def stack_of(*shape):
     ("make", "arguments", "words"),
     [
         *((map_at, at, "origin must be finite") for at in ((NAN, 0, 0), (0, -INF, 0), (0, 0, NAN))),
-        *((grid, (np.zeros(a), np.zeros(b)), "one shape")
-          for a, b in (((2, 3), (3, 2)), ((4,), (4,)), ((1, 2, 3),) * 2)),
+        *(
+            (grid, (np.zeros(a), np.zeros(b)), "one shape")
+            for a, b in (((2, 3), (3, 2)), ((4,), (4,)), ((1, 2, 3),) * 2)
+        ),
         (grid, ([[1, 0, 0], [0, 0, 1]], [[0, 1, 1], [1, 0, 1]]), r"cell \[1, 2\] is both"),
         *((grid, ([[1]], [[0]], cell), "resolution") for cell in (0.0, -0.1, NAN, INF)),
-        *((LaserScan, (np.zeros(a), np.zeros(b)), "one length")
-          for a, b in ((3, 4), ((2, 3), (2, 3)), ((), ()))),
-        *((LaserScan, ([1.0, NAN, 2.0], [0.0, angle, 0.2]), r"angles\[1\] is")
-          for angle in (NAN, INF, -INF)),
-        *((stack_of, shape, "thetas, rows, columns")
-          for shape in ((2, 4, 3), (3, 3, 4), (3, 12), (1, 3, 3, 4))),
+        *(
+            (LaserScan, (np.zeros(a), np.zeros(b)), "one length")
+            for a, b in ((3, 4), ((2, 3), (2, 3)), ((), ()))
+        ),
+        *(
+            (LaserScan, ([1.0, NAN, 2.0], [0.0, angle, 0.2]), r"angles\[1\] is")
+            for angle in (NAN, INF, -INF)
+        ),
+        *(
+            (stack_of, shape, "thetas, rows, columns")
+            for shape in ((2, 4, 3), (3, 3, 4), (3, 12), (1, 3, 3, 4))
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused(make, arguments, words):
     with pytest.raises(ValueError, match=words):
         make(*arguments)
