@@ -58,11 +58,19 @@ def test_each_is_computed_once_and_read_only(features, name):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("cell", 0.0), ("sigma", -1.0), ("sigma_endpoint", np.nan), ("horizon", np.inf),
-        ("max_range", 700.0), ("n_psi", 0), ("n_rays", -3), ("memory_budget", 0), ("threads", 0),
-        ("vmap_from", "scan"), ("visibility_by", "eye"),
+        ("cell", 0.0),
+        ("sigma", -1.0),
+        ("sigma_endpoint", np.nan),
+        ("horizon", np.inf),
+        ("max_range", 700.0),
+        ("n_psi", 0),
+        ("n_rays", -3),
+        ("memory_budget", 0),
+        ("threads", 0),
+        ("vmap_from", "scan"),
+        ("visibility_by", "eye"),
     ],
-)  # fmt: skip
+)
 def test_values_out_of_their_range_are_refused(features, name, value):
     with pytest.raises(ConfigError, match=f"^MapFeatures.{name}: got {value!r}, expected"):
         dataclasses.replace(features, **{name: value})
