@@ -19,9 +19,6 @@ from imgloc.model import (
     inverse,
 )
 
-MIN_THETA_STEP = 1e-4
-"""Radians: 63 thousand headings. A smaller step is a mistake, of units say."""
-
 
 def wrap(angle: npt.ArrayLike) -> FloatArray:
     """Wrap angles to (-pi, pi].
@@ -38,16 +35,11 @@ def wrap(angle: npt.ArrayLike) -> FloatArray:
 def uniform_thetas(step: float) -> FloatArray:
     """Headings ``0, step', 2 step', ...`` over the circle, with step' <= step dividing it.
 
-    A step that is not finite, or below :data:`MIN_THETA_STEP`, is a ConfigError.
-
     Examples
     --------
     >>> np.rad2deg(uniform_thetas(np.deg2rad(90))).tolist()
     [0.0, 90.0, 180.0, 270.0]
     """
-    if not MIN_THETA_STEP <= step < np.inf:
-        least = f"finite and at least {MIN_THETA_STEP} rad"
-        raise ConfigError(f"the step between headings must be {least}, got {step}")
     n = max(1, int(np.ceil(2 * np.pi / step - 1e-9)))
     return np.arange(n, dtype=np.float64) * (2 * np.pi / n)
 

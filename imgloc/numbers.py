@@ -6,7 +6,7 @@ unit, a bound of memory that no answer depends on, or has the reason beside it.
 
 >>> number("Trust.mass"), number("FusedOptions.keep")
 (0.9, (1500, 4000, 4000, 16000))
->>> origin("tracker.most").by
+>>> SOURCES[NUMBERS["tracker.most"].source].by
 'chosen, checked by python -m tools.sequences --metres 12 --cases tracker --starts 50 --kidnaps 20'
 """
 
@@ -43,11 +43,6 @@ class Number:
 def number(name: str) -> Any:
     """The value of a number, or the values of several, in SI units; a KeyError for no such name."""
     return NUMBERS[name].value
-
-
-def origin(name: str) -> Origin:
-    """Where a number is from."""
-    return SOURCES[NUMBERS[name].source]
 
 
 def read(text: str) -> tuple[dict[str, Origin], dict[str, Number]]:

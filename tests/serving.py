@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
+import pytest
 from command import command
 
 
@@ -42,6 +43,14 @@ class Served:
             self.process.kill()
             raise
         return self.process.returncode, err
+
+
+def memory(one: Served, key: str = "VmRSS") -> float:
+    """MiB that a service holds."""
+    status = Path(f"/proc/{one.process.pid}/status")
+    if not status.exists():
+        pytest.skip("needs Linux: a process that knows its memory")
+    return next(int(s.split()[1]) for s in status.read_text().splitlines() if key in s) / 1024
 
 
 def waits(there: Callable[[], object]) -> None:

@@ -32,7 +32,9 @@ def grid() -> OccupancyGrid:
 
 @pytest.fixture(scope="module")
 def arrays(grid: OccupancyGrid) -> dict:
-    return features_to_arrays(MapFeatures(grid, **PARAMETERS), KEPT)
+    features = MapFeatures(grid, **PARAMETERS)
+    _ = [getattr(features, name) for name in KEPT]
+    return features_to_arrays(features)
 
 
 def leaves(value: object) -> list[np.ndarray]:

@@ -160,14 +160,6 @@ def test_resolution_scales_the_points_only():
     np.testing.assert_array_equal(a.alpha, b.alpha)
 
 
-@pytest.mark.parametrize(
-    ("shape", "resolution"), [((3, 4), 0.1), ((3, 3), 0.0), ((3, 3), float("nan"))]
-)
-def test_wrong_input(shape, resolution):
-    with pytest.raises(ValueError, match=r"shape|resolution"):
-        surface_points(np.zeros((3, 3), bool), np.zeros(shape, bool), resolution)
-
-
 def blobs(seed, size=48):
     noise = np.random.default_rng(seed).random((size, size)).astype(np.float32)
     return cv2.GaussianBlur(noise, (0, 0), 2.0) > 0.52

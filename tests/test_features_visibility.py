@@ -5,7 +5,6 @@ import naive_visibility as naive
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, unwrapped, visibility_frames
 from imgloc.geometry import wrap
@@ -161,16 +160,3 @@ def test_rays_of_fitted_points_do_not_start_inside_their_wall():
     front = visibility_frames(occupied, inner, 0.1, 8, 30.0)[0]
     assert np.median(front) == pytest.approx(8.0, abs=0.1)
     assert (front > 7).all()
-
-
-@pytest.mark.parametrize(
-    ("n_psi", "horizon"), [(0, 1.0), (4, 0.0), (4, float("nan")), (4, float("inf"))]
-)
-def test_wrong_parameters(n_psi, horizon):
-    with pytest.raises(ConfigError, match=r"n_psi|horizon"):
-        visibility_frames(room(), wall_point(1, 1, 0.0), 0.1, n_psi, horizon)
-
-
-def test_there_is_no_other_way():
-    with pytest.raises(ConfigError, match="one of march, polar, got 'rays'"):
-        visibility_frames(room(), wall_point(1, 1, 0.0), 0.1, 4, 1.0, by="rays")

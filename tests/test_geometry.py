@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imgloc.errors import ConfigError
 from imgloc.geometry import (
-    MIN_THETA_STEP,
     cell_of,
     centre_of,
     inside,
@@ -75,12 +73,6 @@ def test_the_step_is_never_larger_than_asked_for(step):
     assert len(thetas) == 1 or actual <= step * (1 + 1e-8)
     assert len(thetas) == 1 or 2 * np.pi / (len(thetas) - 1) > step * (1 - 1e-8)  # no finer
     np.testing.assert_allclose(np.diff(thetas), actual, rtol=1e-9)
-
-
-@pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf, -np.inf, 1e-9, 0.99 * MIN_THETA_STEP])
-def test_a_step_that_cannot_be_meant_is_refused(step):
-    with pytest.raises(ConfigError, match="step between headings"):
-        uniform_thetas(step)
 
 
 @given(st.integers(1, 400), st.integers(-3, 3))

@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 from command import ROOT, parsed
 
-from imgloc.numbers import FILE, NUMBERS, Origin, origin, read, write
+from imgloc.numbers import FILE, NUMBERS, SOURCES, Origin, read, write
 
 TEXT = FILE.read_text("utf-8")
 PACKAGE = ROOT / "imgloc"
@@ -106,7 +106,7 @@ def test_each_constant_that_is_left_in_the_code_has_a_reason() -> None:
 def test_numbers_are_in_si_units() -> None:
     assert NUMBERS["refine.step"].value == (0.1, 0.1, pytest.approx(0.0349066), 0.02)
     assert isinstance(NUMBERS["Trust.readings"].value, int)
-    assert origin("Trust.temperature").by.startswith("chosen by a random search")
+    assert SOURCES[NUMBERS["Trust.temperature"].source].by.startswith("chosen by a random search")
 
 
 WHOLE = (
@@ -136,7 +136,7 @@ def test_each_number_has_a_source_a_reason_and_a_value_that_its_unit_may_have(na
         low, high = UNITS[unit]
         assert type(value) is (int if unit in WHOLE else float)
         assert low <= value <= high
-    source = origin(name)
+    source = SOURCES[one.source]
     assert all(isinstance(text, str) and text for text in (one.costs, *vars(source).values()))
 
 

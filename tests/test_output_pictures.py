@@ -132,14 +132,8 @@ def test_a_likelihood_is_black_white_and_turquoise():
         [list(TURQUOISE), list(white), list(light)],
         [list(black), list(grey), list(TURQUOISE)],
     ]
-
-
-def test_a_likelihood_is_maximised_over_theta():
-    picture = draw_likelihood(stack([[[4, 0]], [[0, 2]], [[1, 1]]]), None, Part(scale=1)).image
-    assert picture[0, :, 0].tolist() == [0, 128]
-
-
-def test_a_likelihood_of_nothing_is_turquoise_all_over():
+    over_theta = draw_likelihood(stack([[[4, 0]], [[0, 2]], [[1, 1]]]), None, Part(scale=1)).image
+    assert over_theta[0, :, 0].tolist() == [0, 128]
     assert np.all(draw_likelihood(stack(np.zeros((2, 3, 4)))).image == TURQUOISE)
 
 
@@ -231,9 +225,6 @@ def test_a_field_shows_its_arrows_on_its_walls():
     ink = close(picture, INK, 40).any(axis=0)
     assert ink[60:80].any()
     assert ink[90:110].any()
-
-
-def test_a_field_of_nothing_is_white():
     assert np.all(draw_field(np.zeros((2, 5, 7), dtype=np.float32), 0.1).image == 255)
 
 
@@ -281,11 +272,6 @@ def test_a_mosaic_has_every_picture():
         (rows, _) = np.nonzero(coloured(laid, colour))
         assert len(rows) == picture.shape[0] * picture.shape[1]
         assert rows.min() == (0 if colour != colours[2] else 38)
-
-
-def test_an_empty_mosaic_is_refused():
-    with pytest.raises(ValueError, match="at least one"):
-        mosaic([])
 
 
 def test_drawing_leaves_its_inputs_alone_and_gives_the_same_bytes():
@@ -465,6 +451,8 @@ def test_what_cannot_be_drawn_is_said(arguments, error, words):
         draw(room(), what="bmap")
     with pytest.raises(ValueError, match="expected one of map, bmap"):
         draw(MapFeatures(room()), what="walls")
+    with pytest.raises(ValueError, match="at least one"):
+        mosaic([])
 
 
 def test_a_legend_says_what_is_left_out():

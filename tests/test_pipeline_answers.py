@@ -13,8 +13,7 @@ from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import Calibration, Options, Prior, Sensor, Shared, Trust
-from imgloc.output.pages import why
-from imgloc.output.svg import macro
+from imgloc.output.pages import svg  # with its filters
 from imgloc.pipeline import localize, prepare
 from imgloc.search.stacked import posterior_of
 from imgloc.simulation.scans import simulate, simulate_ranges
@@ -194,9 +193,10 @@ def test_an_answer_out_of_time_is_never_unique():
     assert late.verdict == "ambiguous"
     reason = explain(features, scan, late)
     assert [c.holds for c in late.evidence.checks] == [True, True, True, False]
-    asked = macro("question", "words.html", check=late.evidence.checks[-1])
+    asked = svg.macro("question", "words.html", check=late.evidence.checks[-1])
     assert asked.split("<td>")[2] == "out of time"
-    assert why(reason).startswith("The best pose that the search reached")
+    said = svg.macro("why", "words.html", e=reason)
+    assert said.startswith("The best pose that the search reached")
 
 
 # --- repetition
@@ -222,7 +222,8 @@ def test_the_page_says_that_directions_are_repeated():
     again = LaserScan(np.full(90, 2.0), np.tile([0.0, 0.5, 1.0], 30), range_max=30.0)
     for given, said in ((again, ", in 3 different directions"), (scan, "")):
         invalid = localize(features, given, Options(trust=Trust(readings=999)))
-        text = why(explain(features, given, invalid, Options(trust=Trust(readings=999))))
+        reason = explain(features, given, invalid, Options(trust=Trust(readings=999)))
+        text = svg.macro("why", "words.html", e=reason)
         assert f"readings are valid{said};" in text
 
 

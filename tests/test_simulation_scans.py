@@ -175,7 +175,7 @@ def test_nonsense_is_refused(changes, match):
 def test_refined_walls_stay_where_they_were(thickness):
     occupied = np.zeros((20, 30), dtype=bool)
     occupied[:, 10 : 10 + thickness] = True
-    fine = refine_grid(OccupancyGrid(occupied, ~occupied, 0.1), 0.01)
+    fine = refine_grid(OccupancyGrid(occupied, ~occupied, 0.1))
     edges = np.flatnonzero(np.diff(fine.occupied[100].astype(int))) + 1
     np.testing.assert_allclose(edges, [100, 100 + 10 * thickness], atol=1)
 
@@ -183,17 +183,17 @@ def test_refined_walls_stay_where_they_were(thickness):
 def test_refined_gaps_stay_open_and_diagonal_walls_closed():
     occupied = np.ones((12, 12), dtype=bool)
     occupied[6] = False
-    gap = refine_grid(OccupancyGrid(occupied, ~occupied, 0.1), 0.01)
+    gap = refine_grid(OccupancyGrid(occupied, ~occupied, 0.1))
     assert not gap.occupied[62:68].any()
     wall = np.eye(12, dtype=bool)
-    fine = refine_grid(OccupancyGrid(wall, ~wall, 0.1), 0.01)
+    fine = refine_grid(OccupancyGrid(wall, ~wall, 0.1))
     assert fine.occupied[5:-5].any(axis=1).all()
     assert fine.occupied[:, 5:-5].any(axis=0).all()
 
 
 def test_refined_stairs_become_slopes():
     occupied = np.add.outer(2 * np.arange(20), np.arange(60)) > 60  # a slope of 1 : 2
-    fine = refine_grid(OccupancyGrid(occupied, ~occupied, 0.1), 0.01)
+    fine = refine_grid(OccupancyGrid(occupied, ~occupied, 0.1))
     edge = np.argmax(fine.occupied[30:170], axis=1)
     line = np.polyval(np.polyfit(np.arange(30, 170), edge, 1), np.arange(30, 170))
     coarse = np.argmax(np.repeat(np.repeat(occupied, 10, 0), 10, 1)[30:170], axis=1)
@@ -204,20 +204,20 @@ def test_refining_keeps_the_place_and_the_classes():
     world = WORLDS["corridor"]()
     grid = render(world, 0.1)
     grid = OccupancyGrid(grid.occupied, grid.free, 0.1, Pose2D(1, 2, 3))
-    fine = refine_grid(grid, 0.02)
-    assert fine.resolution == pytest.approx(0.02)
+    fine = refine_grid(grid)
+    assert fine.resolution == pytest.approx(0.01)
     assert fine.origin == grid.origin
     assert not np.any(fine.occupied & fine.free)
-    truth = render(world, 0.02)
+    truth = render(world, 0.01)
     assert np.mean(fine.occupied != truth.occupied) < 0.01
     assert np.mean(fine.free != truth.free) < 0.01
 
 
-def test_refining_is_bounded():
-    grid = box_grid(100, 100)
-    assert refine_grid(grid, 0.01, max_cells=90_000).occupied.shape == (300, 300)
-    assert refine_grid(grid, 0.01, max_cells=10_000) is grid
-    assert refine_grid(grid, 0.2) is grid
+@pytest.mark.parametrize(("cells", "factor"), [(90_000, 3), (10_000, 1)])
+def test_refining_is_bounded(cells, factor, monkeypatch):
+    monkeypatch.setattr("imgloc.simulation.scans._MAX_CELLS", cells)
+    fine = refine_grid(box_grid(100, 100)).occupied
+    assert fine.shape == (100 * factor, 100 * factor)
 
 
 def test_a_sensor_that_is_never_over_free_cells_is_refused():

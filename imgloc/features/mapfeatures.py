@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError
 from imgloc.features.budget import (
     check_budget,
     features_bytes,
@@ -31,10 +30,12 @@ from imgloc.features.fields import bmap, vmap
 from imgloc.features.gradients import SOURCES, vmap_of_image
 from imgloc.features.pyramid import Level, any_of_blocks, coarse_info, pyramid
 from imgloc.features.raycast import Distances
-from imgloc.features.raydistance import ray_distances
+from imgloc.features.raydistance import LONGEST, ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
+from imgloc.options import Length
+from imgloc.ranges import Checked, Count, OneOf, Within
 
 #: A map with more cells keeps its walls as they are: each thinner copy has features of its own.
 PEELED_CELLS = 6_000_000
@@ -49,7 +50,7 @@ np.empty((1 << 25) - (1 << 16), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
-class MapFeatures:
+class MapFeatures(Checked):
     """The features of one map; each is computed once, when first used, and read-only.
 
     Parameters
@@ -78,7 +79,7 @@ class MapFeatures:
     Raises
     ------
     ConfigError
-        If a length is not positive and finite, or a number less than 1.
+        If a value is out of its range.
 
     Examples
     --------
@@ -90,28 +91,17 @@ class MapFeatures:
     """
 
     grid: OccupancyGrid
-    cell: float = 0.1
-    sigma: float = 0.1
-    sigma_endpoint: float = 0.15
-    vmap_from: str = "image"
-    n_psi: int = 72
-    horizon: float = 30.0
-    visibility_by: str = "march"
-    n_rays: int = 360
-    max_range: float = 30.0
-    memory_budget: int | None = None
-    threads: int = 1
-
-    def __post_init__(self) -> None:
-        for name in ("cell", "sigma", "sigma_endpoint", "horizon", "max_range"):
-            if not 0 < (length := getattr(self, name)) < np.inf:
-                raise ConfigError(f"{name} must be a positive number of metres, got {length}")
-        for name in ("n_psi", "n_rays", "memory_budget", "threads"):
-            if (number := getattr(self, name)) is not None and number < 1:
-                raise ConfigError(f"{name} must be at least 1, got {number}")
-        for name, known in (("visibility_by", WAYS), ("vmap_from", SOURCES)):
-            if (way := getattr(self, name)) not in known:
-                raise ConfigError(f"{name} must be one of {', '.join(known)}, got {way!r}")
+    cell: Length = 0.1
+    sigma: Length = 0.1
+    sigma_endpoint: Length = 0.15
+    vmap_from: Annotated[str, OneOf(*SOURCES)] = "image"
+    n_psi: Count = 72
+    horizon: Length = 30.0
+    visibility_by: Annotated[str, OneOf(*WAYS)] = "march"
+    n_rays: Count = 360
+    max_range: Annotated[float, Within(0.01, LONGEST, "metres")] = 30.0
+    memory_budget: Count | None = None
+    threads: Count = 1
 
     @cached_property
     def lattice(self) -> GridInfo:

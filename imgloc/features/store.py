@@ -4,7 +4,7 @@ Kept is what takes longer to compute than to read; bmap and the free cells take 
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -27,17 +27,12 @@ KEPT = ("surface", "visibility", "pyramid", "vmap", "walls", "field", "straight"
 _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 
 
-def features_to_arrays(
-    features: MapFeatures, names: Iterable[str] | None = None
-) -> dict[str, Array]:
-    """Return features as named arrays: ``"walls"`` is one, ``"surface.xy"`` a part of one.
-
-    The names of :data:`KEPT` are computed if need be; by default they are those computed so far.
-    """
-    wanted = set(vars(features)) if names is None else set(names)
+def features_to_arrays(features: MapFeatures) -> dict[str, Array]:
+    """The features computed so far: ``"walls"`` is an array, ``"surface.xy"`` a part of one."""
     out: dict[str, Array] = {}
-    for name in (name for name in KEPT if name in wanted):
-        out |= _parts(name, getattr(features, name))
+    for name in KEPT:
+        if name in vars(features):
+            out |= _parts(name, getattr(features, name))
     return out
 
 
@@ -54,8 +49,9 @@ def features_from_arrays(
     --------
     >>> walls = np.eye(9, dtype=bool)
     >>> grid = OccupancyGrid(walls, ~walls, 0.1)
-    >>> arrays = features_to_arrays(MapFeatures(grid, n_psi=36), ["surface", "walls"])
-    >>> sorted(arrays)
+    >>> features = MapFeatures(grid, n_psi=36)
+    >>> _ = features.surface, features.walls
+    >>> sorted(arrays := features_to_arrays(features))
     ['surface.alpha', 'surface.sigma_alpha', 'surface.valid', 'surface.xy', 'walls']
     >>> features_from_arrays(grid, arrays, {"n_psi": 36}).walls.shape
     (9, 9)

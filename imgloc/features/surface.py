@@ -9,7 +9,7 @@ import itertools
 import cv2
 import numpy as np
 
-from imgloc.geometry import wrap
+from imgloc.geometry import values_at, wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
 
 # Half-widths of the windows of the line fit, points: a wide one averages the staircase of a slanted
@@ -51,11 +51,6 @@ def surface_points(occupied: BoolArray, free: BoolArray, resolution: float) -> O
         In the grid frame, one per cell length of boundary, contour after contour; `alpha` points
         from the wall into free space.
 
-    Raises
-    ------
-    ValueError
-        If the images differ in shape or the resolution is not positive.
-
     Notes
     -----
     The polygons of :func:`outlines` are resampled to one point per cell, moved
@@ -74,12 +69,6 @@ def surface_points(occupied: BoolArray, free: BoolArray, resolution: float) -> O
     >>> [round(float(np.median(points.xy[side, 1])), 3) for side in (up, ~up)]
     [0.3, 0.2]
     """
-    occupied, free = np.asarray(occupied, np.bool_), np.asarray(free, np.bool_)
-    if occupied.ndim != 2 or occupied.shape != free.shape:
-        raise ValueError(f"occupied {occupied.shape} and free {free.shape} must be one shape")
-    if not (np.isfinite(resolution) and resolution > 0):
-        raise ValueError(f"resolution must be positive, got {resolution}")
-
     parts = [_surface_of(occupied, free, *band) for band in _bands(occupied)]
     points, alpha, sigma = (np.concatenate(column) for column in zip(*parts, strict=True))
     return OrientedPoints(points * resolution, alpha, sigma, sigma <= _MAX_SIGMA)
@@ -111,7 +100,8 @@ def _surface_of(
     points, alpha, sigma = (part[mine] for part in _fit(points, start, length))
     # Only what faces free space; normals that are not known at all become NaN.
     normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
-    keep = _sample(free, points + 0.5 * normal) | _sample(free, points + _REACH * normal)
+    keep, far = (values_at(free, points + away * normal, 1.0) for away in (0.5, _REACH))
+    keep |= far
     return points[keep], np.where(np.isfinite(sigma), alpha, np.nan)[keep], sigma[keep]
 
 
@@ -260,11 +250,3 @@ def _principal(
     with np.errstate(divide="ignore"):
         sigma = np.sqrt((residual + 1 / 12) / (m * (mean + spread)))
     return np.where(backward, angle + np.pi, angle), np.sqrt(residual), sigma
-
-
-def _sample(image: BoolArray, xy: FloatArray) -> BoolArray:
-    """Cells of `image` at points (N, 2) given in cells; off the image is False."""
-    col, row = np.floor(xy).astype(np.int64).T
-    height, width = image.shape
-    inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
-    return np.asarray(image[row.clip(0, height - 1), col.clip(0, width - 1)] & inside)

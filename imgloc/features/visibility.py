@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import Distances, cast_rays
 from imgloc.features.raydistance import HIT, SURFACE, watertight
+from imgloc.geometry import values_at
 from imgloc.model import BoolArray, Float32Array, FloatArray, OrientedPoints
 from imgloc.threads import while_wanted
 
@@ -57,11 +57,6 @@ def visibility_frames(
         inf if there is none within the horizon; 0 a quarter turn or more from the normal, and
         for points without one.
 
-    Raises
-    ------
-    ConfigError
-        If `n_psi`, `horizon` or `by` is out of its range.
-
     Notes
     -----
     Alg. 6 stores the direction from p_i to p_j with p_j; Alg. 5 needs the opposite one, kept here.
@@ -76,13 +71,6 @@ def visibility_frames(
     >>> visibility_frames(corridor, wall, 0.1, 4, 5.0).round(2).tolist()
     [[1.0], [0.0], [0.0], [0.0]]
     """
-    if n_psi < 1:
-        raise ConfigError(f"n_psi must be at least 1, got {n_psi}")
-    if not 0 < horizon < np.inf:
-        raise ConfigError(f"horizon must be positive and finite, got {horizon}")
-    if by not in WAYS:
-        raise ConfigError(f"visibility must be by one of {', '.join(WAYS)}, got {by!r}")
-    occupied = np.asarray(occupied, np.bool_)
     normal = np.column_stack((np.cos(surface.alpha), np.sin(surface.alpha)))
     off = _first_clear(occupied, surface.xy, normal, resolution)
     origin = surface.xy + off[:, None] * normal
@@ -150,11 +138,8 @@ def _first_clear(
     occupied: BoolArray, xy: FloatArray, normal: FloatArray, resolution: float
 ) -> FloatArray:
     """Metres in front of each point where the first cell lies that is not occupied."""
-    padded, limit = np.pad(occupied, 1), np.array(occupied.shape) + 1
     off = np.full(len(xy), _OFF[-1])
     for step in reversed(_OFF):
-        with np.errstate(invalid="ignore"):
-            cells = np.floor(np.nan_to_num(xy / resolution + step * normal)).astype(np.int64)
-        row, col = np.clip(cells[:, ::-1] + 1, 0, limit).T
-        off[~padded[row, col]] = step
+        at = np.nan_to_num(xy / resolution + step * normal)
+        off[~values_at(occupied, at, 1.0)] = step
     return off * resolution

@@ -183,23 +183,13 @@ def move_gaussians(
     return moved, (spread + spread.transpose(0, 2, 1)) / 2
 
 
-def noisy_odometry(
-    poses: FloatArray,
-    rng: np.random.Generator,
-    *,
-    noise: MotionNoise | None = None,
-) -> FloatArray:
+def noisy_odometry(poses: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Simulate the odometry (N, 3) of a robot that drives through the poses (N, 3).
 
-    Its distances are 2 % too long, and it turns by 0.01 rad per metre too much.
-
-    Parameters
-    ----------
-    noise : MotionNoise, optional
-        Random errors besides. By default all shares are 0.05.
+    Its distances are 2 % too long, and it turns by 0.01 rad per metre too much; random errors
+    come besides, 0.05 of each motion.
     """
-    if noise is None:
-        noise = MotionNoise(0.0025, 0.0025, 0.0025, 0.0025, (0.0, 0.0))
+    noise = MotionNoise(0.0025, 0.0025, 0.0025, 0.0025, (0.0, 0.0))
     steps = increments(poses)
     metres = np.hypot(steps[:, 0], steps[:, 1])
     steps[:, :2] *= 1.02

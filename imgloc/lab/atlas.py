@@ -84,8 +84,8 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     Raises
     ------
     ConfigError, MapError
-        If there is no heading, the step is not positive, or there are more poses than
-        :data:`MOST`, which are counted before they are made; if no place has the clearance.
+        If there are more poses than :data:`MOST`, which are counted before they are made; if no
+        place has the clearance.
 
     Examples
     --------
@@ -93,8 +93,6 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     >>> atlas_poses(OccupancyGrid(~free, free, 1.0), 2.0, 1, 0.0)[:, :2].tolist()
     [[1.0, 1.0], [3.0, 1.0], [5.0, 1.0], [1.0, 3.0], [3.0, 3.0], [5.0, 3.0]]
     """
-    if not (np.isfinite(step) and step > 0 and headings >= 1):
-        raise ConfigError(f"expected a positive step and a heading or more, got {step}, {headings}")
     info, free = grid.info, roomy(grid, clearance)
     if (in_a_cell := info.resolution / step) > MOST:
         check_count(int(in_a_cell), step)

@@ -244,7 +244,10 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
     seen = look(grid, scans, transform_poses(inverse(grid.origin), poses))
     # A piece is sure where nothing beside it blocks rays; its ends lie beside what still stands.
     sure = grid.occupied & _mostly(seen.passed, seen.hit) & (seen.passed_from >= _PLACES)
-    gone = _large(_grown(sure, grid.occupied & _mostly(seen.grazed, seen.hit)), grid.resolution)
+    # Cells beside it are gone, too, as far as the margin around free cells reaches.
+    beside = cv2.dilate(sure.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    more = beside & grid.occupied & _mostly(seen.grazed, seen.hit)
+    gone = _large(sure | more, grid.resolution)
     away = distance_image(grid.occupied & ~gone) * grid.resolution > _SHORT
     # Noise puts the endpoints on a surface into the cells on both of its sides.
     there = _mostly(seen.near, seen.passed) & (seen.near_from >= _PLACES)
@@ -255,12 +258,6 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
 def _mostly(so: Counts, otherwise: Counts) -> BoolArray:
     """Cells with enough votes, and far more than votes against."""
     return np.asarray((so >= _SCANS) & (so >= _AGAINST * otherwise.astype(np.float64)))
-
-
-def _grown(seeds: BoolArray, allowed: BoolArray) -> BoolArray:
-    """Seeds, and the allowed cells beside them, as far as the margin around free cells reaches."""
-    wide = cv2.dilate(seeds.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return np.asarray(seeds | (wide & allowed))
 
 
 def look(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> Seen:

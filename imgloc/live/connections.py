@@ -66,7 +66,7 @@ class _Connection(H11Protocol):
         self.since = self.loop.time()
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002 (of the base)
-        body = problem_of(Refused("bad-request", "this is no HTTP request")).body
+        body = bytes(problem_of(Refused("bad-request", "this is no HTTP request"))[1].body)
         head = f"HTTP/1.1 400 Bad Request\r\nContent-Type: {MEDIA}\r\nConnection: close\r\n"
         self.transport.write(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
         self.transport.close()

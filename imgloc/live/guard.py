@@ -12,19 +12,15 @@ import hmac
 import ipaddress
 import re
 import socket
-from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import anyio
+from starlette.datastructures import Headers
+from starlette.types import Receive, Scope
 
 from imgloc.errors import ConfigError
 from imgloc.live.problems import Refused
-
-Message = MutableMapping[str, Any]
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
 
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 _SHORTEST = 16  # characters of a token
@@ -35,6 +31,7 @@ POLICY = (
     "frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'"
 )
 HEADERS: Mapping[str, str] = {
+    "Cache-Control": "no-cache",
     "Content-Security-Policy": POLICY,
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -91,8 +88,8 @@ class Access:
 
     def check(self, scope: Scope, *, guarded: bool) -> None:
         """Refuse a request from elsewhere, or without the token if the route is `guarded`."""
-        headers = headers_of(scope)
-        hosts, origins = headers.get("host", []), headers.get("origin", [])
+        headers = Headers(scope=scope)
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or not self.admits(hosts[0]):
             some = ", ".join(hosts)[:100] or "none"
             hint = "its address, localhost, or a name that it was given"
@@ -100,15 +97,15 @@ class Access:
         if origins and [origin_host(origin) for origin in origins] != [hosts[0].lower()]:
             some = ", ".join(origins)[:100]
             raise Refused("forbidden", f"Origin: got {some}, expected that of this page")
-        if guarded and headers.get("sec-fetch-site", ["none"])[0] in ("cross-site", "same-site"):
+        if guarded and headers.get("sec-fetch-site") in ("cross-site", "same-site"):
             raise Refused("forbidden", "Sec-Fetch-Site: a page of another site asks")
         if guarded and self.token is not None and not self._has_token(scope, headers):
             hint = "Authorization: Bearer TOKEN"
             raise Refused("unauthorized", f"the token is missing or wrong, expected {hint}")
 
-    def _has_token(self, scope: Scope, headers: Mapping[str, list[str]]) -> bool:
-        given = [v[7:].strip() for v in headers.get("authorization", [])
-                 if v[:7].lower() == "bearer "]  # fmt: skip
+    def _has_token(self, scope: Scope, headers: Headers) -> bool:
+        said = headers.getlist("authorization")
+        given = [text[7:].strip() for text in said if text[:7].lower() == "bearer "]
         for protocol in scope.get("subprotocols", []):
             if protocol.startswith(_PROTOCOL):
                 text = protocol.removeprefix(_PROTOCOL)
@@ -147,14 +144,6 @@ def origin_host(origin: str) -> str:
     return "" if found is None else found[1]
 
 
-def headers_of(scope: Scope) -> dict[str, list[str]]:
-    """The headers of a request, by their names in small letters."""
-    out: dict[str, list[str]] = {}
-    for name, value in scope["headers"]:
-        out.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    return out
-
-
 class Bodies:
     """The memory that the bodies of all requests take together."""
 
@@ -183,7 +172,7 @@ async def read_body(
     Its bytes are counted in `bodies` and, to be given back, under ``body`` of the scope.
     """
     expected = f"expected a body of at most {limit:,} bytes"
-    said = int(headers_of(scope).get("content-length", ["0"])[0])
+    said = int(Headers(scope=scope).get("content-length", "0"))
     if said > limit:
         raise Refused("too-large", f"{said:,} bytes, {expected}")
     data, size, ended = list[bytes](), 0, False

@@ -9,6 +9,7 @@ that has sent most, what was not used for longest makes room.
 ('a', True)
 """
 
+import math
 import secrets
 from collections import Counter, OrderedDict
 from collections.abc import Callable
@@ -28,7 +29,7 @@ class Held(Generic[T]):
     """
 
     def __init__(
-        self, most: int, weight: int | None = None, what: str = "upload",
+        self, most: int, weight: float = math.inf, what: str = "upload",
         used: Callable[[str], object] = lambda _: False,
     ) -> None:  # fmt: skip
         self._most, self._weight, self._what, self._used = most, weight, what, used
@@ -39,7 +40,10 @@ class Held(Generic[T]):
         """Hold a thing; return its id, and those that had to go. Refused if none of these may."""
         with self._lock:
             left = OrderedDict(self._things)
-            while left and (len(left) >= self._most or self._heavy(weight, left)):
+            while left and (
+                len(left) >= self._most
+                or weight + sum(held[1] for held in left.values()) > self._weight
+            ):
                 idle = {id_: held[2] for id_, held in left.items() if not self._used(id_)}
                 if not idle:
                     raise Refused("busy", f"each {self._what} that is held is in use", retry=5)
@@ -49,10 +53,6 @@ class Held(Generic[T]):
             self._things, id_ = left, secrets.token_hex(ID_BYTES)
             self._things[id_] = thing, weight, client
         return id_, gone
-
-    def _heavy(self, weight: int, things: "OrderedDict[str, tuple[T, int, str]]") -> bool:
-        together = weight + sum(held[1] for held in things.values())
-        return self._weight is not None and together > self._weight
 
     def get(self, id_: str, *, drop: bool = False) -> T:
         """The thing of that id, which is forgotten on demand; refused if there is none any more."""

@@ -7,7 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from imgloc.live.guard import Gone, Receive, ending
+from starlette.types import Receive
+
+from imgloc.live.guard import Gone, ending
 from imgloc.live.problems import Refused
 from imgloc.threads import Unwanted, wanted
 

@@ -39,9 +39,9 @@ from imgloc.io.messages import (
 from imgloc.live.line import Dropped
 from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
-from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, LastPose, Sighting, alone
+from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, LastPose, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
-from imgloc.live.settings import CHANGING, MEASURED, Settings
+from imgloc.live.settings import CHANGING, LATE, WITHOUT_ODOMETRY, Settings
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
@@ -430,7 +430,7 @@ class LocalizerNode:
             laser.skipped += 1
             return
         self._first = min(self._first, laser.heard)
-        until = laser.heard + MEASURED.late
+        until = laser.heard + LATE
         self._waiting.append(_Waiting(laser, scan, frame, message.header.stamp, until))
         self._go_on()
 
@@ -459,7 +459,7 @@ class LocalizerNode:
         if link is None and laser.mount is None:
             return None, None, f"transforms from {base} to {one.frame}"
         odom = self._moves.at(stamp)
-        silent = not self._moved and time.monotonic() > self._first + MEASURED.without_odometry
+        silent = not self._moved and time.monotonic() > self._first + WITHOUT_ODOMETRY
         if odom is None and not silent:
             return None, None, "odometry"
         scan = placed(one.scan, self.settings, laser.topic, laser.mount, link)
@@ -496,7 +496,7 @@ class LocalizerNode:
         """Take note of a scan that has the stamp of the one before, or comes after a later one."""
         laser.frozen = True
         if self.core.ready and all(self._frozen(one) or self._silent(one) for one in self.lasers):
-            self.first.believed(Sighting(now, None), now)
+            self.first.believed(now, None, now)
 
     def _on_odometry(self, message: Any) -> None:
         stamp, *pose = move_of(message)
@@ -507,7 +507,7 @@ class LocalizerNode:
             self._moves.clear()
         elif judged != FINE:
             return
-        if not self._moved and time.monotonic() > self._first + MEASURED.without_odometry:
+        if not self._moved and time.monotonic() > self._first + WITHOUT_ODOMETRY:
             self._robot.reset()  # until now the scans alone told the motion
         self._moved = True
         self._odom_frame = frame_name(message.header.frame_id) or "odom"
@@ -636,7 +636,7 @@ class LocalizerNode:
         if value.choice.verdict == "invalid":
             found = found_blind(asked.scan, name)
         self._show(found, asked, sure=False)
-        self.first.believed(Sighting(asked.scan.stamp, None), self.now)
+        self.first.believed(asked.scan.stamp, None, self.now)
         if value.best is not None:
             self._robot.reset(name)  # the filter finds its own way there
         self._report()
@@ -773,7 +773,7 @@ class LocalizerNode:
             self._remember(found.poses[0], moment.stamp, answer.map)
         shown, before = self.settings.track or self.first.wanted, self.first.state
         new = moment.looked or moment.withheld == BLIND
-        if self.first.believed(Sighting(moment.stamp, found.pose, new), self.now):
+        if self.first.believed(moment.stamp, found.pose, self.now, new=new):
             self._publish(found, asked)
         if shown:
             self._show(found, asked, sure=holds)

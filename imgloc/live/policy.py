@@ -14,9 +14,9 @@ A new map, a reset and a request each call start(). The belief is that of a filt
 confirmed by scans along a way: the same scan, asked again, is no second witness.
 
 >>> first = FirstPose()
->>> first.believed(Sighting(10.0, None), now=10.2), first.state, first.tries
+>>> first.believed(10.0, None, 10.2), first.state, first.tries
 (False, 'trying', 1)
->>> first.believed(Sighting(10.5, Pose2D(3.0, 2.1)), now=10.7), first.state
+>>> first.believed(10.5, Pose2D(3.0, 2.1), 10.7), first.state
 (True, 'confirmed')
 
 Which of several maps it is, or where a robot stands, one scan alone is asked: a scan each `every` s
@@ -31,26 +31,16 @@ or after `metres` of driving is due.
 """
 
 import math
-from dataclasses import dataclass
 
 from imgloc.filters.belief import LOST, one_place
 from imgloc.filters.follow import Moment
-from imgloc.live.settings import MEASURED, Rules
+from imgloc.live.settings import ALONE, Rules
 from imgloc.model import Localization, Pose2D, compose, inverse
 from imgloc.pose import difference
 
 WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
     "waiting", "trying", "confirmed", "quiet", "given up",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """Belief after a scan."""
-
-    stamp: float  #: of the scan, seconds
-    pose: Pose2D | None  #: of the robot's base, map frame, if the belief is sure of it
-    new: bool = True  #: whether the scan told anything new, or that it tells nothing
 
 
 class FirstPose:
@@ -77,19 +67,21 @@ class FirstPose:
         """True if a first pose is looked for."""
         return self.state in (WAITING, TRYING)
 
-    def believed(self, found: Sighting, now: float) -> bool:
+    def believed(self, stamp: float, pose: Pose2D | None, now: float, *, new: bool = True) -> bool:
         """Take what is believed after a scan; whether its pose is to be published.
 
-        `now`, seconds, is the time that stamps are of.
+        `pose` is that of the robot's base, map frame, if the belief is sure of it; `stamp` and
+        `now` are seconds of one clock. `new`: the scan showed something new, or that it sees
+        nothing.
         """
         if not self.wanted:
             return False
         self.state = TRYING
-        if found.pose is not None and self.fresh(found.stamp, now):
+        if pose is not None and self.fresh(stamp, now):
             self.state = CONFIRMED
             return True
-        if found.new and abs(found.stamp - self._counted) >= self.rules.every:
-            self.tries, self._counted = self.tries + 1, found.stamp
+        if new and abs(stamp - self._counted) >= self.rules.every:
+            self.tries, self._counted = self.tries + 1, stamp
         if self.tries >= self.rules.tries:
             self.state = GIVEN_UP
         return False
@@ -146,7 +138,7 @@ class LastPose:
 
 def alone(answer: Localization) -> bool:
     """Return whether one scan is so sure of a place that a robot which stands may be told it."""
-    mass, level = MEASURED.alone
+    mass, level = ALONE
     sure = answer.verdict == "unique" and answer.hypotheses[0].mass >= mass
     return sure and bool(answer.protection) and answer.protection[0].metres < level
 

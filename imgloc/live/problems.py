@@ -1,15 +1,14 @@
 """Problem documents (RFC 9457): the answers to requests that the service refuses.
 
 >>> from imgloc.errors import MapError
->>> problem_of(MapError("office.yaml: resolution: missing")).document
-{'type': 'urn:imgloc:problem:bad-map', 'title': 'The map cannot be used', 'status': 422, \
-'detail': 'office.yaml: resolution: missing'}
+>>> kind, answer = problem_of(MapError("office.yaml: resolution: missing"))
+>>> kind, answer.status_code, answer.body.decode()[-44:]
+('bad-map', 422, '"detail":"office.yaml: resolution: missing"}')
 """
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+
+from starlette.responses import JSONResponse
 
 from imgloc.errors import ConfigError, ImglocError, MapError, ScanError
 from imgloc.live.line import Dropped
@@ -66,32 +65,8 @@ class Refused(ImglocError):  # noqa: N818 (as Dropped)
             self.headers["WWW-Authenticate"] = "Bearer"
 
 
-@dataclass(frozen=True)
-class Problem:
-    """A problem document with its headers."""
-
-    document: Mapping[str, Any]
-    headers: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def status(self) -> int:
-        """The HTTP status."""
-        return int(self.document["status"])
-
-    @property
-    def body(self) -> bytes:
-        """The document as JSON."""
-        return json.dumps(dict(self.document)).encode()
-
-    @property
-    def raw_headers(self) -> list[tuple[bytes, bytes]]:
-        """All headers, as ASGI has them."""
-        given = {"Content-Type": MEDIA, "Content-Length": str(len(self.body)), **self.headers}
-        return [(key.lower().encode(), text.encode("latin-1")) for key, text in given.items()]
-
-
-def problem_of(error: Exception) -> Problem:
-    """The document of an error; of one that is a defect nothing but its kind."""
+def problem_of(error: Exception) -> tuple[str, JSONResponse]:
+    """The kind of an error, and its document; of one that is a defect nothing but its kind."""
     kinds = ((MapError, "bad-map"), (ScanError, "bad-scan"), (ConfigError, "bad-options"))
     headers: dict[str, str] = {}
     if isinstance(error, Refused):
@@ -107,4 +82,5 @@ def problem_of(error: Exception) -> Problem:
         detail = str(error) if isinstance(error, ImglocError) else type(error).__name__
     status, title = KINDS[kind]
     about = {"type": f"urn:imgloc:problem:{kind}", "title": title, "status": status}
-    return Problem({**about, "detail": " ".join(detail.split())}, headers)
+    about["detail"] = " ".join(detail.split())
+    return kind, JSONResponse(about, status, headers, MEDIA)

@@ -10,9 +10,9 @@ moved      the map is the same, and the scan alone is very sure of another place
 refused    else: what is remembered counts for nothing
 =========  =====================================================================================
 
->>> kept = Kept("hall", "5f" * 20, Pose2D(3.0, 2.0), 1000.0)
->>> Kept.read(kept.text.encode(), "robot.json") == kept
-True
+>>> pose = '"pose": {"x": 3.0, "y": 2.0, "theta": 0.0}'
+>>> Kept.read(f'{{"map": "hall", "identity": "5f", {pose}, "stamp": 1.5}}'.encode(), "robot.json")
+Kept(map='hall', identity='5f', pose=Pose2D(x=3.0, y=2.0, theta=0.0), stamp=1.5)
 """
 
 import json
@@ -48,11 +48,6 @@ class Kept:
     pose: Pose2D  #: map frame
     stamp: float  #: of its scan, seconds
 
-    @property
-    def text(self) -> str:
-        """It as JSON."""
-        return json.dumps(asdict(self)) + "\n"
-
     @classmethod
     def read(cls, data: bytes, name: str) -> "Kept":
         """It of its text; a ConfigError, which names the file, of anything else."""
@@ -65,7 +60,7 @@ class Kept:
 
     def save(self, path: PathLike) -> None:
         """Write it: a reader sees the old file or the new one, never half of it."""
-        write_text_atomic(path, self.text, force=True)
+        write_text_atomic(path, json.dumps(asdict(self)) + "\n", force=True)
 
 
 def load_kept(path: PathLike) -> Kept | None:

@@ -20,10 +20,12 @@ from weakref import WeakKeyDictionary
 
 import anyio
 import numpy as np
+from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, Router, WebSocketRoute
+from starlette.staticfiles import StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketState
 
@@ -49,11 +51,10 @@ from imgloc.live.localizer import Localizer
 from imgloc.live.metrics import Metrics
 from imgloc.live.openapi import KNOWN, OPERATIONS, Operation
 from imgloc.live.parameters import read_query
-from imgloc.live.problems import Problem, Refused, problem_of
+from imgloc.live.problems import Refused, problem_of
 from imgloc.live.requests import Sent, map_of, marked_of, scans_of, taken
 from imgloc.live.robots import Robots
 from imgloc.live.sites import Site
-from imgloc.live.static import page_files
 from imgloc.model import FloatArray, LaserScan, Likelihood, plain, to_json
 from imgloc.options import FUSED, Chosen, Hint, Known, Prior, Shared
 from imgloc.output.rows import answer_row, scan_row
@@ -68,6 +69,7 @@ _LOOKS = 4  # threads for what is small
 _SMALL = 1 << 16  # bytes of JSON up to which a body is small
 _EACH = 100  # numbers whose memory a scan takes besides its own
 _OPEN = {one.path for one in OPERATIONS if one.who == openapi.ALL}
+_PAGE = Path(__file__).with_name("page")
 _PROBES = {one.path for one in OPERATIONS if one.lane == openapi.PROBES}
 Values = Mapping[str, Any]
 
@@ -154,7 +156,8 @@ class Service:
     ) -> None:  # fmt: skip
         self.core, self.access = core, access or Access()
         self.bounds, self.given = bounds or Bounds(), given or Begun()
-        self.metrics, self.page = Metrics(), page_files()
+        self.metrics = Metrics()
+        self.page = {"/", *(f"/{file.name}" for file in _PAGE.iterdir())}
         self.stopping = asyncio.Event()
         threads = {"files": 1, "answers": 0, "looks": _LOOKS, "layers": 1}
         self.lanes = {name: Lane(self.bounds.waiting, count, stops=name == "layers")
@@ -203,11 +206,9 @@ class Service:
 
         async def send_(message: Message) -> None:
             if message["type"] == "http.response.start":
-                named = {name.lower() for name, _ in message["headers"]}
-                message["headers"] = [*message["headers"], *(
-                    (key.lower().encode(), value.encode()) for key, value in HEADERS.items()
-                    if key.lower().encode() not in named
-                )]  # fmt: skip
+                headers = MutableHeaders(scope=message)
+                for key, value in HEADERS.items():
+                    headers.setdefault(key, value)
                 self.metrics.requests.labels(str(message["status"])).inc()
             await send(message)
 
@@ -228,23 +229,20 @@ class Service:
         except Exception as error:
             problem = self._problem(_refused(error))
             await receive()
-            self.metrics.requests.labels(str(problem.status)).inc()
-            kind, body = "websocket.http.response", problem.body
-            await send({"type": f"{kind}.start", "status": problem.status,
-                        "headers": problem.raw_headers})  # fmt: skip
-            await send({"type": f"{kind}.body", "body": body})
+            self.metrics.requests.labels(str(problem.status_code)).inc()
+            await problem(scope, receive, send)
 
-    def _problem(self, error: Exception) -> Problem:
-        problem = problem_of(error)
-        self.metrics.refused.labels(problem.document["type"].rpartition(":")[2]).inc()
-        if problem.status == 500:
+    def _problem(self, error: Exception) -> Response:
+        kind, problem = problem_of(error)
+        self.metrics.refused.labels(kind).inc()
+        if problem.status_code == 500:
             frame = traceback.extract_tb(error.__traceback__)[-1]
             at = f"{Path(frame.filename).name}:{frame.lineno}"
             LOG.error("internal error at %s: %s: %s", at, type(error).__name__, error)
         return problem
 
     async def _refuse(
-        self, problem: Problem, scope: Scope, receive: Receive, send: Send,
+        self, problem: Response, scope: Scope, receive: Receive, send: Send,
         ended: Callable[[], bool],
     ) -> None:  # fmt: skip
         """Send a problem; a client that is still sending gets to read it before the end."""
@@ -252,7 +250,7 @@ class Service:
         sends = not ended() and bool({b"content-length", b"transfer-encoding"} & names)
         if sends or scope.get("state", {}).get(FULL):
             headers.append((b"connection", b"close"))
-        start = {"type": "http.response.start", "status": problem.status, "headers": headers}
+        start = {"type": "http.response.start", "status": problem.status_code, "headers": headers}
         await send(start)
         head_only = scope["method"] == "HEAD"
         out = {"type": "http.response.body", "body": b"" if head_only else problem.body}
@@ -281,13 +279,12 @@ class Service:
 
     def _routes(self) -> list[Route | WebSocketRoute]:
         by_path: dict[str, dict[str, tuple[Operation, Endpoint]]] = {}
-        for path in self.page:
-            at = Operation("get", path, "static", "", "", "", {}, who=openapi.ALL)
-            by_path[path] = {"get": (at, self._static)}
         for one in OPERATIONS:
             by_path.setdefault(one.path, {})[one.method] = one, getattr(self, f"_{one.run}")
         routes = [Route(path, self._endpoint(by), methods=[m.upper() for m in by])
                   for path, by in by_path.items()]  # fmt: skip
+        files = StaticFiles(directory=_PAGE, html=True)
+        routes += [Route(path, files) for path in self.page]
         return [WebSocketRoute(openapi.TRACK.path, self._track), *routes]
 
     def _endpoint(
@@ -328,13 +325,6 @@ class Service:
 
     async def _document(self, _: Ask) -> Response:
         return JSONResponse(openapi.document(token=self.access.token is not None))
-
-    async def _static(self, ask: Ask) -> Response:
-        file = self.page[ask.route.path]
-        headers = {"ETag": file.tag, "Cache-Control": "no-cache"}
-        if ask.request.headers.get("if-none-match") == file.tag:
-            return Response(status_code=304, headers=headers)
-        return Response(file.data, headers={**headers, "Content-Type": file.media})
 
     # ---- maps -----------------------------------------------------------------------------------
 
@@ -670,8 +660,8 @@ class Service:
             problem = self._problem(error)
             with contextlib.suppress(TimeoutError):  # of one that does not read
                 with anyio.fail_after(_DRAIN):
-                    await socket.send_text(problem.body.decode())
-                    code = 1011 if problem.status == 500 else 1007
+                    await socket.send_text(bytes(problem.body).decode())
+                    code = 1011 if problem.status_code == 500 else 1007
                     await socket.close(code, "see the last message")
 
 

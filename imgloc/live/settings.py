@@ -7,7 +7,7 @@ from typing import Annotated
 
 from imgloc.errors import ConfigError
 from imgloc.numbers import number
-from imgloc.options import Flipped, Metres, Place, Radians, Share
+from imgloc.options import Flipped, Metres, Place, Radians
 from imgloc.pose import Pose2D, check_mount
 from imgloc.ranges import Checked, Doc, Matches, Within, option
 from imgloc.texts import numbers, pose
@@ -23,22 +23,12 @@ def _poses(text: str) -> tuple[float, ...]:
     return tuple(value for three in threes for value in pose(three))
 
 
-_Wait = Annotated[float, Within(0.01, 60, "seconds")]
-
-
-@dataclass(frozen=True)
-class Measured(Checked):
-    """Measured limits of the node, which no robot sets."""
-
-    #: from a scan's arrival until it is left out, if odometry or transforms of its time lack
-    late: _Wait = number("live.late")
-    #: from the first scan until the scans alone give the motion
-    without_odometry: _Wait = number("live.without_odometry")
-    #: of one scan that is believed without a second: least mass, and largest radius of 95 %
-    alone: tuple[Share, Metres] = number("live.alone")
-
-
-MEASURED = Measured()
+#: seconds from a scan's arrival until it is left out, if odometry or transforms of its time lack
+LATE: float = number("live.late")
+#: seconds from the first scan until the scans alone give the motion
+WITHOUT_ODOMETRY: float = number("live.without_odometry")
+#: of one scan that is believed without a second: least mass, and largest radius of 95 %
+ALONE: tuple[float, float] = number("live.alone")
 
 
 def _topics(text: str) -> tuple[str, ...]:

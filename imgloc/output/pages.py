@@ -57,11 +57,6 @@ def render_explanation(
     )
 
 
-def why(e: Explanation) -> str:
-    """One or two sentences: the reason for a verdict, with its numbers, as HTML."""
-    return str(svg.macro("why", "words.html", e=e))
-
-
 def likely(times: float) -> str:
     """Compare a second hypothesis with the first.
 

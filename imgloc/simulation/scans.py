@@ -13,7 +13,7 @@ import numpy.typing as npt
 from imgloc.errors import ConfigError, MapError, expect
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
-from imgloc.geometry import cell_of, inside, transform_poses
+from imgloc.geometry import transform_poses, values_at
 from imgloc.io.maps import bundled_maps
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
@@ -210,10 +210,8 @@ def sample_free_poses(
         x = x + (np.cos(theta) * mount.x - np.sin(theta) * mount.y)
         y = y + (np.sin(theta) * mount.x + np.cos(theta) * mount.y)
         sensors = np.column_stack((x, y, (theta + mount.theta) % (2 * np.pi)))
-        cells = cell_of(sensors[:, :2], grid.resolution)
-        on_map = inside(cells, grid.info)
-        row, column = cells[on_map].T
-        found = np.concatenate((found, sensors[on_map][grid.free[row, column]]))
+        there = values_at(grid.free, sensors[:, :2], grid.resolution)
+        found = np.concatenate((found, sensors[there]))
         if len(found) >= n:
             return found[:n]
     raise MapError(
@@ -222,28 +220,22 @@ def sample_free_poses(
     )
 
 
-def refine_grid(
-    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
-) -> OccupancyGrid:
+def refine_grid(grid: OccupancyGrid) -> OccupancyGrid:
     """Redraw a map with smaller cells and smooth outlines, so that walls have no stairs.
 
     The occupancy image is blurred by 0.7 cells, enlarged bilinearly and cut at one half; walls
     and gaps that are one cell thin are kept. A map whose cells need not be smaller is returned.
-
-    Parameters
-    ----------
-    resolution, max_cells : float, int
-        Side of a cell wanted, metres: that of the map's cells is divided by a whole number that
-        comes closest to it. No more cells than `max_cells`: a large map is refined less.
+    The side of a cell is divided by a whole number to come closest to :data:`FINE`, or by a
+    smaller one on a map so large that it would have more than 16 million cells.
 
     Examples
     --------
-    >>> coarse = OccupancyGrid(np.eye(4, dtype=bool), ~np.eye(4, dtype=bool), 0.1)
-    >>> refine_grid(coarse, 0.02).occupied.shape
+    >>> coarse = OccupancyGrid(np.eye(4, dtype=bool), ~np.eye(4, dtype=bool), 0.05)
+    >>> refine_grid(coarse).occupied.shape
     (20, 20)
     """
     height, width = grid.occupied.shape
-    factor = fine_factor(grid, resolution, max_cells=max_cells)
+    factor = fine_factor(grid)
     if factor == 1:
         return grid
     size = (width * factor, height * factor)
@@ -253,12 +245,10 @@ def refine_grid(
     return OccupancyGrid(occupied, (known > 0) & ~occupied, grid.resolution / factor, grid.origin)
 
 
-def fine_factor(
-    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
-) -> int:
+def fine_factor(grid: OccupancyGrid) -> int:
     """Number of cells of :func:`refine_grid` along a cell of the map."""
-    most = int((max_cells / grid.occupied.size) ** 0.5)
-    return max(1, min(round(grid.resolution / resolution), most))
+    most = int((_MAX_CELLS / grid.occupied.size) ** 0.5)
+    return max(1, min(round(grid.resolution / FINE), most))
 
 
 def _smooth(occupied: BoolArray) -> Float32Array:

@@ -22,7 +22,7 @@ import httpx
 import numpy as np
 import pytest
 from command import MAPS, command
-from serving import Served, served, waits
+from serving import Served, memory, served, waits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -144,14 +144,6 @@ def test_scans_weigh_more_than_their_readings(service: Served) -> None:
 
 
 # Memory.
-
-
-def memory(one: Served, key: str = "VmRSS") -> float:
-    """MiB that a service holds."""
-    status = Path(f"/proc/{one.process.pid}/status")
-    if not status.exists():
-        pytest.skip("needs Linux: a process that knows its memory")
-    return next(int(s.split()[1]) for s in status.read_text().splitlines() if key in s) / 1024
 
 
 def test_all_bodies_have_one_budget() -> None:

@@ -16,7 +16,7 @@ import imgloc
 from imgloc.errors import ConfigError
 from imgloc.live.localizer import Localizer
 from imgloc.live.node import LocalizerNode, load_ros, with_parameters
-from imgloc.live.settings import Measured, Settings
+from imgloc.live.settings import Settings
 from imgloc.live.status import ERROR, Found, weighed
 from imgloc.options import TOLERANCE, Hint, Options, Sensor
 from imgloc.ranges import declared
@@ -271,7 +271,7 @@ def test_one_stale_scan_changes_nothing_and_a_clock_set_back_does(heard: Heard) 
 def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
     heard: Heard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("imgloc.live.node.MEASURED", Measured(late=0.2))
+    monkeypatch.setattr("imgloc.live.node.LATE", 0.2)
     heard.send("map", heard.map())
     heard.until(lambda: heard.core.ready)
     laser = heard.node.lasers[0]

@@ -17,7 +17,6 @@ from imgloc.live.policy import (
     FirstPose,
     LastPose,
     Rules,
-    Sighting,
     alone,
 )
 from imgloc.model import Hypothesis, Localization, Pose2D, Protection
@@ -26,7 +25,7 @@ HERE = Pose2D(3.0, 2.0, 0.5)
 
 
 def tried(first, stamp, pose, *, age=0.1, new=True):
-    return first.believed(Sighting(stamp, pose, new), stamp + age)
+    return first.believed(stamp, pose, stamp + age, new=new)
 
 
 def test_a_pose_of_which_the_belief_is_sure_is_published_once() -> None:

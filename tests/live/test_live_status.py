@@ -12,7 +12,7 @@ from command import ROOT, SAFE, params_of, tree
 
 from imgloc.filters.belief import Belief
 from imgloc.filters.follow import STANDING, Moment
-from imgloc.live.policy import FirstPose, Sighting
+from imgloc.live.policy import FirstPose
 from imgloc.live.settings import Rules, Settings
 from imgloc.live.status import (
     ERROR,
@@ -43,7 +43,7 @@ def answer(verdict):
 
 def quiet():
     first = FirstPose()
-    first.believed(Sighting(10.0, BASE[0]), 10.0)
+    first.believed(10.0, BASE[0], 10.0)
     first.published()
     return first
 
