@@ -201,7 +201,7 @@ def image_gain(features: MapFeatures) -> float:
     """Nats by which the image of an uncorrected map speaks for walls as others draw them."""
     if not drawn_thick(features):
         return 0.0
-    return _DOUBT * (min(features.thickness, _THICKEST) - _THICK)
+    return float(_DOUBT * (min(features.thickness, _THICKEST) - _THICK))
 
 
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
