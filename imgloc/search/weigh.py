@@ -180,7 +180,8 @@ def evidence_of(
     # Rays that met nothing would cost as much in a building on no map.
     gained = (float(scores.things[best] - scores.silence[best]) - unmapped * n) / temperature.value
     mapped, through = int(scores.mapped[best]), int(scores.through[best])
-    against = _PIECES * math.log((1 + through) / (1 + mapped))
+    # Half a wall: a map that explains none of a scan is none of its place.
+    against = _PIECES * math.log((1 + through) / (0.5 + mapped))
     against += _FLOOR * (floor is not None)  # what may be left out fits more places
     return Evidence(
         n, model.best, model.best - float(scores.log_likelihood[best]) / n, unmapped, gained,
