@@ -19,6 +19,7 @@ With ``--one-scan N`` it locates each of N scans by itself, with the walls as dr
 with noise.
 """
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -48,29 +49,28 @@ HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m 
 
 def row_of(log: str, start: str, runs: list[Run]) -> tuple[str, ...]:
     """The cells of a table: what became of some runs."""
-    near = np.concatenate([run.error[:, 0] <= RIGHT for run in runs])
-    unique = np.concatenate([run.unique > 0 for run in runs])
+    off, unique, nees = map(
+        np.concatenate,
+        zip(*((run.error[:, 0], run.unique > 0, run.square) for run in runs), strict=True),
+    )
+    near = off <= RIGHT
     last = [run.error[run.metres >= FOUND, 0] for run in runs]
     found = [errors[0] <= RIGHT for errors in last if len(errors)]
     wrong = f"{np.count_nonzero(unique & ~near)} of {len(near)}"
     shares = f"{near.mean():.2f}", f"{unique.mean():.2f}"
-    off = np.concatenate([run.error[:, 0] for run in runs])[unique]
-    nees = np.concatenate([run.square for run in runs])[unique]
-    exact = (f"{np.sqrt(np.mean(off**2)):.3f}", f"{nees.mean():.1f}") if unique.any() else ("", "")
-    return log, start, *shares, wrong, f"{sum(found)} of {len(found)}", *exact
+    exact = np.sqrt(np.square(off).mean(where=unique)), nees.mean(where=unique)
+    return log, start, *shares, wrong, f"{sum(found)} of {len(found)}", *map("{:.3g}".format, exact)
 
 
-def rows_of(
-    folder: Path, starts: int, *, calibrated: bool, thicker: int, scale: float
-) -> Iterator[tuple[str, ...]]:
+def rows_of(folder: Path, how: argparse.Namespace) -> Iterator[tuple[str, ...]]:
     """The rows of a set."""
-    grid = dilated(load_map(folder / "map.yaml"), np.random.default_rng(0), thicker)
+    grid = dilated(load_map(folder / "map.yaml"), np.random.default_rng(0), how.thicker)
     features, options = prepare(grid, folder.name), Options()
-    if calibrated:
+    if how.calibrated:
         logs = [scans for _, scans in logs_of(folder)]
         options = Options(shared=fit_along(features, logs).shared)
     for name, recorded in logs_of(folder):
-        scans = replace(recorded, scans=tuple(scan.scaled(scale) for scan in recorded.scans))
+        scans = replace(recorded, scans=tuple(scan.scaled(how.scale) for scan in recorded.scans))
         make = partial(make_filter, "tracker", features, options)
         poses = robot_poses(scans)
         known = Searches(features, options)  # its clock; the tracker searches by itself
@@ -78,8 +78,8 @@ def rows_of(
             begin = Pose2D(*poses[0])
             run = drive(features, scans, make(), Every(), known, start=begin)
             yield row_of(name, "true", [run])
-        runs = [drive(features, p, make(), Every(), known) for p in pieces_of(scans, starts)]
-        yield row_of(name, f"{starts} from anywhere", runs)
+        runs = [drive(features, p, make(), Every(), known) for p in pieces_of(scans, how.starts)]
+        yield row_of(name, f"{how.starts} from anywhere", runs)
 
 
 def pieces_of(scans: ScanSet, starts: int) -> Iterator[ScanSet]:
@@ -118,8 +118,7 @@ def main() -> int:
             ones = (one_scan_rows(f, given.one_scan, given.seed) for f in given.folders)
             return show(table_lines(ONE, chain.from_iterable(ones)))
         at_least_one(starts=given.starts)
-        how = {k: getattr(given, k) for k in ("calibrated", "thicker", "scale")}
-        rows = (row for f in given.folders for row in rows_of(f, given.starts, **how))
+        rows = chain.from_iterable(rows_of(folder, given) for folder in given.folders)
         return show(table_lines(HEAD, rows))
 
     return ended("tools.old_maps", work)
