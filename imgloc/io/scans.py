@@ -241,8 +241,9 @@ _MAGIC = (
     (rb"PK\x03\x04", _NPZ), (rb"#ROSBAG V2", _BAG), (rb"SQLite format 3", _BAG),
     (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD),
     (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
+    (rb"\s*\[[\s\[]*[-\dinf][^\s,]*\s+[-\dinf]", _CSV),  # as NumPy prints arrays
     (rb"\s*(\{|\[\s*[\d{[])", _JSON), (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
-    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*([-+.\w]|[\xc3-\xe9][\x80-\xbf])", _CSV),
+    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*([-+.\w|\"\[]|[\xc3-\xe9][\x80-\xbf])", _CSV),
     (rb"(?s).*?\b(angle|theta)\s*[:=]\s*[-\d]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
@@ -257,7 +258,7 @@ _SPOKEN = (
      "telegrams of a SICK sensor; its ROS driver, sick_scan_xd, makes a LaserScan of each"),
     (rb"(GD|GS|MD|MS)\d{10}",
      "answers of a Hokuyo sensor (SCIP); its ROS driver, urg_node, makes a LaserScan of each"),
-    (rb"\[+\s*[-\dinf][^\s,]*\s+[-\dinf]|array\(|[\w.]+ *= *[\[{]|\{\s*[-.\d]|(- -?\.?\w\S*\n){3}",
+    (rb"[\w.]+ *= *[\[{]|\{\s*[-.\d]|(- -?\.?\w\S*\n){3}",
      "numbers as a program prints them, without angles: write np.savez('scans.npz', ranges=..., "
      "angles=..., range_max=...) in Python, or echo the whole topic, not a field of it"),
     (rb"\s*<[!?\w]", "a page of the web, not the file itself: download that"),
@@ -327,7 +328,7 @@ def _kind_of(path: PathLike) -> _Kind:
         if lower.endswith((known, f"{known}.gz", f"{known}.zip")):
             raise ScanError(f"{name}: cannot be read: {hint}")
     head = _refuse_spoken(path)
-    if told := ending in ("", ".txt", ".dat", ".scan"):
+    if told := ending in ("", ".txt", ".dat", ".md", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):
                 return kind
