@@ -17,7 +17,8 @@ _ROW = re.compile(r"\[\d+,\]\s+")  # of a matrix of R
 _FACTOR = re.compile(r"\d\.0*e[-+]\d+ *\*", re.IGNORECASE)
 _LEFT_OUT = re.compile(r"(?<![^\s,\[|])\.{2,3}(?![^\s,\]|])")
 _BRACKETS = re.compile(
-    r"(\w+ *= *)?(np\.)?(array\(('\w', *)?)?\[[-+.\s\[\]\dinf,]*$", re.IGNORECASE
+    r"(\w+ *= *)?(np\.)?(array\(('\w', *)?)?\[[-+.\s\[\]\deinfa,]*(, *dtype=\w+)?\)?$",
+    re.IGNORECASE,
 )
 _WHOLE = "expected all: NumPy's savetxt, MATLAB's writematrix, R's write.csv and to_json of pandas"
 

@@ -127,7 +127,8 @@ def _values(text: str, name: str) -> list[Any]:
 def _listed(whole: Any) -> list[Any]:
     """The scans of one JSON value: itself, or those that it lists."""
     if isinstance(whole, list):
-        return whole
+        is_flat = whole and not any(isinstance(item, dict | list | str) for item in whole)
+        return [{"ranges": whole}] if is_flat else whole
     ranges = whole.get("ranges") if isinstance(whole, dict) else None
     if isinstance(ranges, list) and ranges and all(isinstance(row, list) for row in ranges):
         stamps = whole.pop("stamps", None) or [None] * len(ranges)
