@@ -265,6 +265,8 @@ _SPOKEN = (
     (rb"version https://git-lfs", "a pointer of Git LFS to the file: git lfs pull fetches it"),
     (rb"\[timestamp\]\s*\d", "a log of UrgBenri: write the lines below [scan] as CSV, and pass "
      "`fov` and `range_scale=0.001`"),
+    (rb".{,200}\bLaserScan\(header=", "messages as Python prints them; ros2 topic echo -f /scan > "
+     "scans.yaml writes them to be read"),
     (rb"\[\s*\(\s*\d", "a list of Python's, as its rplidar prints: write a first line "
      "angle_deg,distance_mm, and below it -angle,distance of each reading"),
 )  # fmt: skip
