@@ -173,12 +173,13 @@ def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
 def read_npz(path: PathLike) -> ScanSet:
     """Read scans from an NPZ.
 
-    Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` and
-    ``angle_increment``; optionally ``range_min`` (default 0), ``range_max`` (default infinite) and
-    ``time_increment`` (seconds from a reading to the next, default 0), one number or (N,);
-    ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount`` (3,) or (N, 3), where the sensor
-    sits on the robot, NaN where that is not known; ``laser`` (N,), a number for each of several
-    lasers. Other keys are not read. Arrays of objects are refused, as are more than MAX_READINGS.
+    Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` with
+    ``angle_increment`` or ``angle_max``; optionally ``range_min`` (default 0), ``range_max``
+    (default infinite) and ``time_increment`` (seconds from a reading to the next, default 0), one
+    number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount`` (3,) or (N, 3),
+    where the sensor sits on the robot, NaN where that is not known; ``laser`` (N,), a number for
+    each of several lasers. Other keys are not read. Arrays of objects are refused, as are more than
+    MAX_READINGS.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
