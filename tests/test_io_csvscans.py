@@ -142,11 +142,6 @@ def printed(kind: str) -> str:
         )
     if "vector" in kind:
         return SAID + table([], [[f"[{k + 1}]", *row[at]] for row in rows for k, at in pieces], " ")
-    if "R" in kind:
-        heads = [[f"[,{j + 1}]" for j in range(RAYS)[at]] for _, at in pieces]
-        lines = [[[f"[{i + 1},]", *row[at]] for i, row in enumerate(rows)] for _, at in pieces]
-        both = zip(heads, lines, strict=True)
-        return SAID + table([], [line for head, below in both for line in (head, *below)], " ")
     names, rule = [f"r{k}" for k in range(RAYS)], f"|{'---|' * RAYS}"
     if "SQL" in kind:
         lines = [f"| {' | '.join(row)} |" for row in (names, *rows)]
@@ -163,7 +158,7 @@ KINDS = [
     "angles first, a number above the time",
     "angles down", "angles down by name", "a reading a line", "a reading a line by semicolons",
     "a reading a line without names", "blanks", "tabs", "time first", "savetxt",
-    "print of NumPy", "print of MATLAB", "print of R", "print of a vector", "print of SQL",
+    "print of NumPy", "print of MATLAB", "print of a vector", "print of SQL",
     "print into a file",
 ]  # fmt: skip
 

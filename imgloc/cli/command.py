@@ -39,8 +39,7 @@ GONE: Mapping[str, str] = {
                     "imgloc convert LOG scans.npz with it makes a file that needs none"),
     **dict.fromkeys(("near", "sd", "clearance", "thinner", "bent", "max-speed", "max-turn-deg",
                      "theta-step-deg", "cell"), "imgloc localize has it"),
-    "fov-deg": "imgloc convert LOG scans.npz with it makes a file that needs none; imgloc simulate "
-               "has it, too",
+    "fov-deg": "imgloc convert LOG scans.npz with it makes such a file, as imgloc simulate does",
     "threads": "imgloc localize has it, imgloc batch has --workers",
     "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
     "force": "nothing would be written over; imgloc batch has --resume",

@@ -9,16 +9,12 @@ Line = tuple[str, str]  #: where a line stands, and its text
 
 _RULE = re.compile(r"[-+|:=\s]*--[-+|:=\s]*|[(\[]\d+ rows?\b.*|\w+ *=")
 _BARS = re.compile(r"\|.*\|", re.DOTALL)
-# What stands before rows that go on: of MATLAB and Octave, of a matrix of R, and of a vector of R.
-_BLOCK = re.compile(
-    r"Columns? (\d+)\b.*|\[,(\d+)\](?:\s+\[,\d+\])*|\[(\d+)\](?=[-+.\seE\dInfaNA]+$)"
-)
-_ROW = re.compile(r"\[\d+,\]\s+")  # of a matrix of R
+# MATLAB and Octave have a line before rows that go on, R has a number in front.
+_BLOCK = re.compile(r"Columns? (\d+)\b.*|\[(\d+)\](?=[-+.\seE\dInfaNA]+$)")
 _FACTOR = re.compile(r"\d\.0*e[-+]\d+ *\*", re.IGNORECASE)
 _LEFT_OUT = re.compile(r"(?<![^\s,\[|])\.{2,3}(?![^\s,\]|])")
 _BRACKETS = re.compile(
-    r"(\w+ *= *)?(np\.)?(array\(('\w', *)?)?\[[-+.\s\[\]\deinfa,]*(, *dtype=\w+)?\)?$",
-    re.IGNORECASE,
+    r"(?i)(\w+ *= *)?(array\(('\w', *)?)?\[[-+.\s\[\]\deinfa,]*(, *dtype=\w+)?\)?$"
 )
 _WHOLE = "expected all: NumPy's savetxt, MATLAB's writematrix, R's write.csv and to_json of pandas"
 
@@ -54,7 +50,6 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
         if found := _BLOCK.match(text):
             k = table = len(rows) if "1" in found.groups() else table
         if row := text[found.end() if found else 0 :]:
-            row = _ROW.sub("", row)
             rows[k : k + 1] = [
                 (rows[k][0], f"{rows[k][1]} {row}") if k < len(rows) else (where, row)
             ]

@@ -377,17 +377,13 @@ def _refuse_spoken(path: PathLike) -> bytes:
 
 def _npz_size(path: PathLike) -> ScansSize:
     """Size of what :func:`read_npz` would read, by the headers of the arrays."""
-    name, shapes = display(path), dict[str, tuple[int, ...]]()
+    name = display(path)
     with (
         open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (file, length),
         _explained(name),
         zipfile.ZipFile(file) as archive,
     ):
-        for info in archive.infolist():
-            key = info.filename.removesuffix(".npy")
-            if key in KEYS:
-                with archive.open(info) as member:
-                    shapes[key], _, _ = _check_header(member, info.file_size, name, key)
+        shapes = {key: shape for key, _, shape, _, _ in _headers(archive, name)}
     ranges = shapes.get("ranges", ())
     scans = ranges[0] if len(ranges) == 2 else 1
     check_size(scans, math.prod(ranges[-1:]), name)
@@ -405,24 +401,31 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
         count = int.from_bytes(data[end + 10 : end + 12], "little")
         if count not in (len(archive.infolist()), 0xFFFF):  # ZIP64 counts elsewhere
             raise zipfile.BadZipFile("members are missing")
-        for info in archive.infolist():
-            key = info.filename.removesuffix(".npy")
-            if key not in KEYS:
-                # Not read; but opening compares the name with the one at the data, so
-                # that a damaged "range_max" is not taken for somebody else's array.
-                archive.open(info).close()
-                continue
+        for key, file, shape, fortran, dtype in _headers(archive, name):
             if key in arrays:
                 raise ScanError(f"{name}: {key}: in the archive twice, expected once")
-            with archive.open(info) as file:
-                shape, fortran, dtype = _check_header(file, info.file_size, name, key)
-                value = np.frombuffer(file.read(), dtype)
+            value = np.frombuffer(file.read(), dtype)
             value = value.reshape(shape, order="F" if fortran else "C")
             arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
         if "ranges" not in arrays:
             expected = "ranges among them, and angles in radians"
             raise wrong(f"{name}: ranges", ", ".join(archive.namelist())[:200], expected)
     return arrays
+
+
+def _headers(
+    archive: zipfile.ZipFile, name: str
+) -> Iterator[tuple[str, IO[bytes], tuple[int, ...], bool, np.dtype[Any]]]:
+    """Key, open file, shape, order and type of the arrays that are read; others are opened only.
+
+    Opening compares the name with the one at the data, so that a damaged "range_max" is not taken
+    for somebody else's array.
+    """
+    for info in archive.infolist():
+        key = info.filename.removesuffix(".npy")
+        with archive.open(info) as file:
+            if key in KEYS:
+                yield key, file, *_check_header(file, info.file_size, name, key)
 
 
 @contextlib.contextmanager

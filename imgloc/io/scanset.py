@@ -14,7 +14,6 @@ from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.model import (
-    LONGEST_SWEEP,
     MOST_TURNED,
     FloatArray,
     LaserScan,
@@ -321,15 +320,14 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     _check_limits(low, math.inf, where)
     high = math.inf if high is None else reach_of(high, f"{where}: range_max", low)
     stamp, mount = given.get("stamp", math.nan), MOUNTED.get() or entry.get("mount")
-    _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
         mount = _mount(mount, where)
     laser = entry.get("laser", "")
     if not isinstance(laser, str):
         raise wrong(f"{where}: laser", repr(laser)[:40], "the name of the laser, a text")
     try:
-        return LaserScan(ranges, angles, low, high, stamp, mount, pace, laser)
-    except ConfigError as error:
+        return LaserScan(ranges, angles, low, high, stamp, mount, given.get(_PACE, 0.0), laser)
+    except (ConfigError, ValueError) as error:
         raise ScanError(f"{where}: {error}") from None
 
 
@@ -342,13 +340,6 @@ def _mount(value: Any, where: str) -> Pose2D:
         text = text if text.startswith(where) else f"{where}: {text}"
         raise ScanError(f"{text}; or pass `sensor`") from None
     return pose
-
-
-def _check_pace(pace: float, rays: int, name: str) -> None:
-    """Refuse a time between two of so many readings that no sweep takes."""
-    if not abs(pace) * rays <= LONGEST_SWEEP:
-        expected = f"seconds from a reading to the next, at most {LONGEST_SWEEP:g} s in all"
-        raise wrong(f"{name}: {_PACE}", f"{pace:g}", expected)
 
 
 def scalar(value: Any, where: str) -> float:
@@ -424,7 +415,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     check_size(n, readings, name)
 
     def each(key: str, *tail: int, one_for_all: bool = True) -> Any:
-        """What a key has for each scan, numbers or arrays of this shape."""
+        """The values of a key for each scan: numbers, or arrays of this shape."""
         value = arrays.get(key)
         if value is None:
             return [None] * n
