@@ -179,8 +179,10 @@ def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
         raw |= raw[_CONTEXT.name].meta.get(SHARED, {})
         with _flags_for(flags):
             for part in parts:
-                texts = [(f, raw[ours.get(f.option, _key(part, f))]) for f in part.fields]
-                there = [(field, text) for field, text in texts if text not in (None, [], ())]
+                said = [(f, raw[ours.get(f.option, _key(part, f))]) for f in part.fields]
+                # Older versions of Typer have a tuple of several.
+                texts = [(f, [*text] if isinstance(text, tuple) else text) for f, text in said]
+                there = [(field, text) for field, text in texts if text not in (None, [])]
                 typed |= {field.flag: _words_of(field, text) for field, text in there}
                 values[part.name] = part.make({f.name: value_of(f, text) for f, text in there})
             values |= {name: Given(typed) for name, hint in aside.items() if hint == Given}

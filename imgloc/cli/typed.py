@@ -59,7 +59,7 @@ class Shares:
         return {name for p in options if not (p.is_flag or p.count) for name in p.opts}
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line; Typer knows nothing of values of options of the program."""
+        """Parse the command line; Typer does not know the options that the program has."""
         rest: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
         ctx.meta[SHARED] = {p.name: ctx.params.pop(p.name) for p in self.shared(ctx)}
         return rest

@@ -8,7 +8,6 @@ from imgloc.errors import ScanError
 Line = tuple[str, str]  #: where a line stands, and its text
 
 _RULE = re.compile(r"[-+|:=\s]*--[-+|:=\s]*|[(\[]\d+ rows?\b.*|\w+ *=")
-_BARS = re.compile(r"\|.*\|", re.DOTALL)
 # MATLAB and Octave have a line before rows that go on, R has a number in front.
 _BLOCK = re.compile(r"Columns? (\d+)\b.*|\[(\d+)\](?=[-+.\seE\dInfaNA]+$)")
 _FACTOR = re.compile(r"\d\.0*e[-+]\d+ *\*", re.IGNORECASE)
@@ -40,7 +39,7 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
         if _FACTOR.fullmatch(text):
             raise ScanError(f"{where}: it was printed with four digits and a factor; {_WHOLE} do")
     lines = [line for line in lines if not _RULE.fullmatch(line[1])]
-    if len(lines) > 1 and all(_BARS.fullmatch(text) for _, text in lines):
+    if len(lines) > 1 and all(text[:1] == text[-1:] == "|" for _, text in lines):
         return [(where, text[1:-1]) for where, text in lines]
     if lines and _BRACKETS.match(lines[0][1]) and re.search(r"\](, *dtype=\w+)?\)?$", lines[-1][1]):
         inside = re.findall(r"\[([^\[\]]*)\]", " ".join(text for _, text in lines))
