@@ -15,7 +15,7 @@ _LEFT_OUT = re.compile(r"(?<![^\s,\[|])\.{2,3}(?![^\s,\]|])")
 _BRACKETS = re.compile(
     r"(?i)(\w+ *= *)?(array\(('\w', *)?)?\[[-+.\s\[\]\deinfa,]*(, *dtype=\w+)?\)?$"
 )
-_WHOLE = "expected all: NumPy's savetxt, MATLAB's writematrix, R's write.csv and to_json of pandas"
+_WHOLE = "write all, with NumPy's savetxt, MATLAB's writematrix, R's write.csv or pandas' to_json"
 
 
 def unprinted(lines: Sequence[Line]) -> list[Line]:
@@ -34,10 +34,10 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
     for where, text in lines:
         if ".." in text and _LEFT_OUT.search(text):
             raise ScanError(
-                f"{where}: it was printed shortened, with dots for numbers; {_WHOLE} do"
+                f"{where}: it was printed shortened, with dots for numbers: {_WHOLE}"
             )
         if _FACTOR.fullmatch(text):
-            raise ScanError(f"{where}: it was printed with four digits and a factor; {_WHOLE} do")
+            raise ScanError(f"{where}: it was printed with four digits and a factor: {_WHOLE}")
     lines = [line for line in lines if not _RULE.fullmatch(line[1])]
     if len(lines) > 1 and all(text[:1] == text[-1:] == "|" for _, text in lines):
         return [(where, text[1:-1]) for where, text in lines]
