@@ -33,9 +33,7 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
     """
     for where, text in lines:
         if ".." in text and _LEFT_OUT.search(text):
-            raise ScanError(
-                f"{where}: it was printed shortened, with dots for numbers: {_WHOLE}"
-            )
+            raise ScanError(f"{where}: it was printed shortened, with dots for numbers: {_WHOLE}")
         if _FACTOR.fullmatch(text):
             raise ScanError(f"{where}: it was printed with four digits and a factor: {_WHOLE}")
     lines = [line for line in lines if not _RULE.fullmatch(line[1])]
