@@ -167,7 +167,7 @@ def test_the_help_has_groups_and_whole_sentences() -> None:
 
 @pytest.mark.parametrize(("name", "text", "hint"), [
     ("a.log", "@SENS 30-01-99 15:46:02\n#ROBOT 12.1 -21.2 91.2\n", "follows '#LASER ...:' as CSV"),
-    ("a.txt", "[8.18 7.95\n 7.78 7.2]\n", "without angles: write np.savez('scans.npz'"),
+    ("a.txt", "r = {8.18 7.95\n 7.78 7.2}\n", "without angles: write np.savez('scans.npz'"),
     ("a.txt", "- 8.18\n- .inf\n- 7.78\n- 7\n", "or echo the whole topic, not a field of it"),
     ("a.csv", "<!DOCTYPE html><html>", "a page of the web, not the file itself"),
     ("a.csv", "version https://git-lfs.github.com/spec/v1\noid sha256:4d\n", "git lfs pull"),

@@ -230,10 +230,13 @@ def test_an_option_may_stand_between_the_words_of_a_command() -> None:
     (out,) = {call(*line, "curved").out for line in lines}
     assert out.startswith('{"path": ')
     call("cache", "--json", "clear").ends(2, "--json: is no option here", out="")
+    call("--picture", "a.txt", "localize", "curved", "s").ends(2, "a.txt: expected a name", out="")
 
 
-def test_a_value_may_be_called_as_a_command_is() -> None:
+def test_a_value_may_be_called_as_a_command_is(tmp_path: Path) -> None:
     call("--cache", "demo", "localize").ends(2, "Missing argument", out="")
+    call("map", "--out", "check", "show", "curved").ends(2, "check: expected a name that", out="")
+    assert f"folder   {tmp_path}\n" in call("cache", "--cache", tmp_path).out
 
 
 def test_a_wrong_name_is_told_from_those_of_the_program() -> None:

@@ -2,6 +2,7 @@
 
 import logging
 import math
+import re
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -34,6 +35,8 @@ def table(head: list[str], rows: list[list[object]], mark: str = ",") -> str:
 
 def exported(kind: str) -> str:
     """The scans as a table of somebody's."""
+    if "print" in kind:
+        return printed(kind)
     fields, n = list(FIELDS.items()), range(RAYS)
     ns = [round(1e9 * t) for t in STAMPS]
     values = [value for _, value in fields]
@@ -126,6 +129,26 @@ def exported(kind: str) -> str:
     return head + table([], [[t, *RANGES[k]] for k, t in enumerate(STAMPS)], " ")
 
 
+def printed(kind: str) -> str:
+    """The scans as a program prints them, long rows in pieces of seven."""
+    rows = [[f"{v:.3f}" for v in row] for row in RANGES]
+    pieces = [(k, slice(k, k + 7)) for k in range(0, RAYS, 7)]
+    if "NumPy" in kind:
+        return f"{SAID}{np.array2string(RANGES, threshold=RANGES.size)}\n"
+    if "MATLAB" in kind:
+        return f"{SAID}\nranges =\n\n" + "\n".join(
+            f"  Columns {k + 1} through {k + 7}\n\n{table([], [row[at] for row in rows], '   ')}"
+            for k, at in pieces
+        )
+    if "vector" in kind:
+        return SAID + table([], [[f"[{k + 1}]", *row[at]] for row in rows for k, at in pieces], " ")
+    names, rule = [f"r{k}" for k in range(RAYS)], f"|{'---|' * RAYS}"
+    if "SQL" in kind:
+        lines = [f"| {' | '.join(row)} |" for row in (names, *rows)]
+        return SAID + "\n".join([lines[0], rule, *lines[1:], rule, f"({N} rows)"])
+    return SAID + table(names, [[f'"{k}"', *row] for k, row in enumerate(rows)], " ")
+
+
 KINDS = [
     "rostopic -p", "rostopic -p of simulated time", "ros2 --csv", "ros2 --csv with intensities",
     "ros2 --csv without a frame", "lists in cells", "lists in cells, as tuples",
@@ -135,6 +158,8 @@ KINDS = [
     "angles first, a number above the time",
     "angles down", "angles down by name", "a reading a line", "a reading a line by semicolons",
     "a reading a line without names", "blanks", "tabs", "time first", "savetxt",
+    "print of NumPy", "print of MATLAB", "print of a vector", "print of SQL",
+    "print into a file",
 ]  # fmt: skip
 
 
@@ -152,7 +177,7 @@ def test_a_table_of_somebody_is_read(tmp_path: Path, kind: str) -> None:
     np.testing.assert_allclose([scan.angles for scan in scans.scans], [ANGLES] * N, atol=1e-5)
     if kind == "plotjuggler":
         np.testing.assert_allclose(scans.odom[1], (5.5, 2.5, 2 * math.asin(0.6)))
-    if "down" in kind or "semicolons" in kind or "names" in kind or kind in BETWEEN:
+    if re.search("down|semicolons|names|print", kind) or kind in BETWEEN:
         assert scans.stamps is None
     else:
         assert scans.stamps is not None
@@ -271,7 +296,10 @@ def test_the_order_of_an_rplidar_is_named(tmp_path: Path, caplog, monkeypatch) -
     rows = [[47, a, r] for a, r in zip(np.arange(0, 360, 10), RANGES[0], strict=True)]
     (scan,) = loaded(tmp_path, table([], rows)).scans
     np.testing.assert_allclose(scan.ranges, RANGES[0])
-    assert "an RPLIDAR, which turns clockwise: pass `flipped=True`" in caplog.text
+    assert "an RPLIDAR's, which counts them clockwise: `flipped=True`" in caplog.text
+    caplog.clear()
+    loaded(tmp_path, table(["quality", "angle", "distance_mm"], rows, ";"))
+    assert "an RPLIDAR's, which counts them clockwise: `flipped=True`" in caplog.text
     caplog.clear()  # a column that counts is no quality, and no angle
     counted = [[k, a, r] for k, (_, a, r) in enumerate(rows)]
     for lines in (counted, [[k, r, a] for k, a, r in counted]):
@@ -380,6 +408,8 @@ def test_what_people_write_for_nothing(tmp_path: Path) -> None:
         assert scans[1].ranges.tolist()[1:] == [2, 5]
     with pytest.raises(ScanError, match="printed shortened"):
         loaded(tmp_path, broken.replace("2.", "..."))
+    with pytest.raises(ScanError, match="line 3: it was printed with four digits and a factor"):
+        loaded(tmp_path, "ranges =\n\n  1.0e+03 *\n\n" + table([], RANGES.tolist(), "  "))
 
 
 def test_columns_beside_an_angle_are_alike(tmp_path: Path) -> None:

@@ -103,12 +103,6 @@ def test_the_time_of_a_sweep_is_kept_by_files_and_messages(tmp_path) -> None:
     assert imgloc.scan_from_msg(fields).time_increment == 0
 
 
-def test_a_time_between_readings_that_is_none_is_refused(tmp_path) -> None:
-    (tmp_path / "a.json").write_text('{"ranges": [1, 2], "angles": [0, 1], "time_increment": NaN}')
-    with pytest.raises(ScanError, match="time_increment: got nan, expected seconds from a reading"):
-        load_scans(tmp_path / "a.json")
-
-
 def log(n: int = 6) -> ScanSet:
     """Sweeps of a robot that drives at 1 m/s, a tenth of a second each."""
     scan = sweep((1, 0, 0))
@@ -211,8 +205,6 @@ def test_what_is_not_straightened_is_counted(tmp_path, caplog) -> None:
 def test_a_sweep_that_takes_longer_than_any_sensor_is_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match=r"makes a sweep of 180 s, expected at most 10 s"):
         replace(sweep((0, 0, 0)), time_increment=1.0)
-    (tmp_path / "a.json").write_text(
-        '{"ranges": [1, 2], "angles": [0, 1], "time_increment": 1e155}'
-    )
-    with pytest.raises(ScanError, match=r"time_increment: got 1e.155"):
+    (tmp_path / "a.json").write_text('{"ranges": [1, 2], "angles": [0, 1], "time_increment": NaN}')
+    with pytest.raises(ScanError, match="scan 0: time_increment nan makes a sweep of nan s"):
         load_scans(tmp_path / "a.json")

@@ -17,7 +17,7 @@ from imgloc.numbers import number
 from imgloc.options import EvidenceModel
 
 _LOG = logging.getLogger("imgloc")
-_AROUND, APART = number("truth.around"), number("fit.apart")
+_AROUND, APART = number("truth.around"), number("truth.apart")
 _SHARE, _BEST = number("truth.fits")
 #: What may be wrong with all scans of a file, and what mends it.
 WAYS: Mapping[str, Callable[[LaserScan], LaserScan]] = {

@@ -205,7 +205,6 @@ _CACHE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
-_SWITCHES, _ENDS = ("--verbose", "-v", "--debug"), ("--", "--ros-args")
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
 
@@ -301,14 +300,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     known = {name for commands in _GROUPS.values() for name in commands} | {"cache"}
     # The completion of a shell has its words elsewhere.
     named = known if "_IMGLOC_COMPLETE" in os.environ else known & set(words)
-    _program_of(frozenset(named))(_in_order(words), prog_name="imgloc")
-
-
-def _in_order(words: list[str]) -> list[str]:
-    """A line with the switches of the program first: these may be typed anywhere in it.
-
-    >>> _in_order(["localize", "a.yaml", "--threads", "2", "-v", "--", "-v"])
-    ['-v', 'localize', 'a.yaml', '--threads', '2', '--', '-v']
-    """
-    end = next((k for k, word in enumerate(words) if word in _ENDS), len(words))
-    return sorted(words[:end], key=lambda word: word not in _SWITCHES) + words[end:]
+    _program_of(frozenset(named))(words, prog_name="imgloc")

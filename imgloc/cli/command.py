@@ -13,6 +13,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, is_dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
 
@@ -33,11 +34,12 @@ GONE: Mapping[str, str] = {
          "semantics"),
         "imgloc map check MAP with it and with --write YAML makes a YAML that has it"),
     "allow-lossy": "the same image as a PNG needs none",
-    **dict.fromkeys(("max-bad", "straighten", "height", "odom", "odometry", "topic", "fov-deg",
+    **dict.fromkeys(("max-bad", "straighten", "height", "odom", "odometry", "topic",
                      "range-scale", "range-max", "sensor", "flipped", "scans-index", "sample"),
                     "imgloc convert LOG scans.npz with it makes a file that needs none"),
     **dict.fromkeys(("near", "sd", "clearance", "thinner", "bent", "max-speed", "max-turn-deg",
                      "theta-step-deg", "cell"), "imgloc localize has it"),
+    "fov-deg": "imgloc convert LOG scans.npz with it makes such a file, as imgloc simulate does",
     "threads": "imgloc localize has it, imgloc batch has --workers",
     "memory-budget": "imgloc localize has it, imgloc batch has --memory-limit",
     "force": "nothing would be written over; imgloc batch has --resume",
@@ -118,7 +120,8 @@ class Command(Shares, TyperCommand):
         lacking = {f"--{name}": vain.get(" ".join(hint.split()[:2]), hint)
                    for name, hint in GONE.items() if f"--{name}" not in own}  # fmt: skip
         ctx.meta.setdefault(LACKS, {}).update(lacking)
-        for word in args[: args.index("--")] if "--" in args else args:
+        words, taking = args[: args.index("--")] if "--" in args else args, self.taking(ctx)
+        for word in words:
             old = word.partition("=")[0]
             if old in lacking:
                 raise ConfigError(f"{old}: is no option here; {lacking[old]}")
@@ -126,6 +129,9 @@ class Command(Shares, TyperCommand):
                 also = ", and --picture FILE draws them" if "--picture" in own else ""
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
                 raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")
+        for word, value in pairwise(words):
+            if word in taking and value.partition("=")[0] in own:
+                ctx.fail(f"Option {word!r} requires an argument.")
         return super().parse_args(ctx, args)
 
 
@@ -149,7 +155,8 @@ def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
 
     The program has the options of these classes: see :func:`with_options_of_program`.
     """
-    ours = {field.option for kind in kinds for field in declared(kind)} - {None}
+    every = (field for kind in kinds for field in declared(kind) if field.option)
+    ours = {field.option: f"_{field.name}" for field in every}
     hints = get_type_hints(function, include_extras=True)
     parts, parameters, aside = list[_Part](), list[inspect.Parameter](), dict[str, Any]()
     for parameter in inspect.signature(function).parameters.values():
@@ -167,17 +174,15 @@ def command(function: Callable[..., None], *kinds: Any) -> Callable[..., None]:
 
     @functools.wraps(function)
     def run(**raw: Any) -> None:
-        meta = raw[_CONTEXT.name].meta
-        given = meta.get(SHARED, {})
-        for vain in sorted(given.keys() - flags.values()):
-            hint = meta.get(LACKS, {}).get(vain, GONE[vain[2:]])
-            raise ConfigError(f"{vain}: is no option here; {hint}")
         values: dict[str, Any] = dict.fromkeys(context, raw[_CONTEXT.name])
         typed = Typed()
+        raw |= raw[_CONTEXT.name].meta.get(SHARED, {})
         with _flags_for(flags):
             for part in parts:
-                texts = [(f, given.get(f.flag, raw.get(_key(part, f)))) for f in part.fields]
-                there = [(field, text) for field, text in texts if text is not None and text != []]
+                said = [(f, raw[ours.get(f.option, _key(part, f))]) for f in part.fields]
+                # Older versions of Typer have a tuple of several.
+                texts = [(f, [*text] if isinstance(text, tuple) else text) for f, text in said]
+                there = [(field, text) for field, text in texts if text not in (None, [])]
                 typed |= {field.flag: _words_of(field, text) for field, text in there}
                 values[part.name] = part.make({f.name: value_of(f, text) for f, text in there})
             values |= {name: Given(typed) for name, hint in aside.items() if hint == Given}

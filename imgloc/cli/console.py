@@ -38,14 +38,26 @@ _SECTIONS = {
     "Measure": ("evaluate", "calibrate"),
 }
 
+_SWITCHES, _ENDS = ("--verbose", "-v", "--debug", "--version"), ("--", "--ros-args")
+
 
 class Subgroup(Shares, TyperGroup):
     """Commands below one word."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words: those between the two of a command are of the second."""
-        k = next((k for k, word in enumerate(args) if ctx.parent and word in self.commands), 0)
-        return super().parse_args(ctx, [*args[k : k + 1], *args[:k], *args[k + 1 :]])
+        """Parse the words: wherever they stand, those of a command are behind it."""
+        end = next((k for k, word in enumerate(args) if word in _ENDS), len(args))
+        first = [word for word in args[:end] if word in _SWITCHES and not ctx.parent]
+        words = [word for word in args[:end] if word not in first]
+        there = [k for k, word in enumerate(words) if word in self.commands]
+        commands: list[Any] = [self.commands[words[k]] for k in there]
+        lacking = self.taking(ctx).union(*(command.taking(ctx) for command in commands))
+        at = [k for k in there if not k or words[k - 1] not in lacking]  # others are values
+        if there and not at:
+            ctx.fail(f"Option {words[there[0] - 1]!r} requires an argument.")
+        k = at[0] if at else 0
+        words = [*words[k : k + 1], *words[:k], *words[k + 1 :]]
+        return super().parse_args(ctx, [*first, *words, *args[end:]])
 
     def format_commands(self, _: Any, formatter: Any) -> None:
         """Write the commands in groups, each with its first sentence, whole."""

@@ -80,7 +80,8 @@ def _is_map(path: Path) -> bool:
 
     ending = path.suffix.lower()
     if ending in YAML_ENDINGS:
-        return bool(why_no_scans(path))
+        why = why_no_scans(path)
+        return bool(why) and not why.startswith("cannot be read")
     if ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
         return True
     return ending not in SCAN_ENDINGS and opt.find_map(path) != path

@@ -29,7 +29,7 @@ def find_map(path: str | Path) -> Path:
     path = local(path, MapError)
     ending = path.suffix.lower()
     if ending in SCAN_ENDINGS and ending not in BAG_ENDINGS and is_there(path):
-        raise ConfigError(f"{path} is a file of scans; the order is MAP, then SCANS")
+        raise ConfigError(f"{path} is a file of scans, no map; the order is MAP, then SCANS")
     return named_map(path)
 
 

@@ -6,7 +6,6 @@ of Typer let Pydantic read them, whose import takes as long as a whole help text
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -54,20 +53,13 @@ class Shares:
         own = super().get_params(ctx)  # type: ignore[misc]
         return as_typed([*own[:-1], *(self.shared(ctx) if ctx.parent else ()), *own[-1:]])
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line: what an option lacks is neither an option nor a command."""
-        below: Any = getattr(self, "commands", ())
-        ends = (k for k, word in enumerate(args) if word in below or word == "--")
+    def taking(self, ctx: Any) -> set[str]:
+        """The names of the options after which a value stands."""
         options = [p for p in self.get_params(ctx) if p.param_type_name == "option"]
-        known = {name for p in options for name in (*p.opts, *p.secondary_opts)}
-        lacking = {name for p in options if not (p.is_flag or p.count) for name in p.opts}
-        for k, (word, value) in enumerate(pairwise(args[: next(ends, len(args)) + 1]), 2):
-            alone = value in below and not any(word in below for word in args[k:])
-            if word in lacking and (value.partition("=")[0] in known or alone):
-                ctx.fail(f"Option {word!r} requires an argument.")
+        return {name for p in options if not (p.is_flag or p.count) for name in p.opts}
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line; Typer does not know the options that the program has."""
         rest: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
-        had = ctx.meta.setdefault(SHARED, {})
-        for flag, text in [(p.opts[0], ctx.params.pop(p.name)) for p in self.shared(ctx)]:
-            if text not in (None, [], ()):  # older versions of Typer have a tuple of several
-                had[flag] = [*had.get(flag, ()), *text] if isinstance(text, list | tuple) else text
+        ctx.meta[SHARED] = {p.name: ctx.params.pop(p.name) for p in self.shared(ctx)}
         return rest

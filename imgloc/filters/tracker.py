@@ -248,7 +248,7 @@ class Tracker:
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed, self._lost = np.empty(0), np.empty(0), 1.0
         if self._begun is not None:
-            self._poses, self._covariance = self._begun
+            self._poses, self._covariance = (array.copy() for array in self._begun)
             self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
         self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
         # Scans in a row that agree; weight of the way along which scans agreed, and of all.
@@ -267,7 +267,6 @@ class Tracker:
         spread = np.diag((deviation[0], *deviation))[None] ** 2
         self._begun = np.array(pose, dtype=np.float64).reshape(1, 3), spread
         self._begin_again()
-        self._begun = self._poses.copy(), self._covariance.copy()
         self._searching, self._uncounted = None, 0.0
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._lasers.place()

@@ -23,6 +23,7 @@ from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.bags import Beside
 from imgloc.io.files import PathLike, display
+from imgloc.io.printed import Line, unprinted
 from imgloc.io.scanset import SPACING, Entry, ScanSet, collect, spread
 from imgloc.io.textscans import NAMES, lines_of, number_of, setting_of
 from imgloc.model import FloatArray
@@ -90,7 +91,7 @@ _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
 _POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./][zw])")
 _AXES = "position/x", "position/y", "orientation/z", "orientation/w"
-_CLOCKWISE = "; quality, angle, range are of an RPLIDAR, which turns clockwise: pass `flipped=True`"
+_CLOCKWISE = "a quality beside angles is an RPLIDAR's, which counts them clockwise: `flipped=True`"
 _POINTS = " are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y)"
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
 Role = tuple[str, int, float]  #: of a column, see :func:`role_of`
@@ -119,7 +120,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     is a last one that was cut off.
     """
     name, settings, comment, units = display(path), dict[str, Any](), "", ["", ""]
-    lines, body = lines_of(path, other="cp1252"), list[Row]()
+    lines, below = lines_of(path, other="cp1252"), list[Line]()
     for line, text in lines.numbered:
         where = f"{name}: line {line}"
         if text.startswith(("#", "//", "% ", "sep=")):
@@ -130,10 +131,10 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
             named = any(role_of(cell)[0] for cell in cells_of(plain))
             words = [] if named else _SAID.findall(plain)
             units = [max([old, *every]) for old, *every in zip(units, *words, strict=True)]
-            comment = comment if body or said or words else plain
+            comment = comment if below or said or words else plain
         else:
-            body.append((where, cells_of(text)))
-    if not body:
+            below.append((where, text))
+    if not (body := [(where, cells_of(text)) for where, text in unprinted(below)]):
         raise ScanError(f"{name}: contains no scan, expected one per line")
     body = _unpacked(_spoken(_pointed(body, name)))
     table = _Table(name, body, settings, BadLines(name, max_bad), f"{name}: line {lines.cut}")
@@ -165,7 +166,9 @@ def cells_of(text: str) -> list[str]:
         return [cell.strip() for cell in text.split(mark)]
     if '"' in text:
         with contextlib.suppress(csv.Error):  # of a cell that is longer than any
-            return [cell.strip() for cell in next(csv.reader([text], skipinitialspace=True))]
+            mark = "," if "," in re.sub('"[^"]*"', "", text) or " " not in text else " "
+            read = csv.reader([text], delimiter=mark, skipinitialspace=True)
+            return [cell.strip() for cell in next(read)]
     return [cell.strip() for cell in text.split(",")] if "," in text else text.split()
 
 
@@ -306,6 +309,8 @@ class _Table:
         if "range" in by and "angle" not in by and "theta" in by and "x" not in by:
             by["angle"] = by.pop("theta")
         if not ranges and {"angle", "range"} <= by.keys():
+            if "quality" in names:
+                _LOG.warning("%s: %s", self.name, _CLOCKWISE, extra={"code": "degrees"})
             return self._readings(by, roles)
         few = len(names) in (2, 3) and len(self.body) > _EVEN and not any(r for r, _, _ in roles)
         if (not names or few) and (scans := self._by_contents(names, fov)) is not None:
@@ -440,7 +445,7 @@ class _Table:
             raise ScanError(f"{self.name}: no column rises or falls; expected {expected}")
         if at:
             text = f"column {at + 1} rises or falls evenly: it is taken for the angle"
-            text += _CLOCKWISE * ([at, *rest] == [1, 2, 0] and values[0] > 0)
+            text += f"; {_CLOCKWISE}" * ([at, *rest] == [1, 2, 0] and values[0] > 0)
             _LOG.warning("%s: %s", self.name, text, extra={"code": "degrees"})
         return {"angle": at, "range": rest[0]}
 

@@ -1,6 +1,5 @@
 """LaserScan as `ros2 topic echo` and `rostopic echo` print it: YAML, a document a message."""
 
-import contextlib
 import logging
 import re
 from typing import Any
@@ -9,7 +8,7 @@ from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
 from imgloc.io.plainyaml import plain_yaml
-from imgloc.io.scanset import MAX_RAYS, SPACING, Entry, ScanSet, collect
+from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, collect
 from imgloc.io.text import read_text
 from imgloc.io.textscans import plain_entry
 from imgloc.options import MAX_BAD
@@ -58,7 +57,7 @@ def read_echo(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
 
 
 def _checked(message: Any, where: str) -> dict[str, Any]:
-    """The fields of a message, with numbers that YAML takes for words made numbers."""
+    """The fields of a message."""
     if not isinstance(message, dict) or "ranges" not in message:
         if isinstance(message, dict) and message.keys() >= _MAP_KEYS:
             hint = "this is a map's YAML: the order is MAP, then SCANS"
@@ -72,8 +71,4 @@ def _checked(message: Any, where: str) -> dict[str, Any]:
     if isinstance(ranges, str) and ranges.startswith("<"):  # by the option no-arr
         hint = f"{_ALL}, without its option no-arr"
         raise ScanError(f"{where}: ranges: left out, {ranges[:60]!r}; {hint}")
-    for key in SPACING:
-        if isinstance(message.get(key), str):  # 5e-2 has no point: a string to YAML 1.1
-            with contextlib.suppress(ValueError):  # refused where it is used
-                message[key] = float(message[key])
     return message

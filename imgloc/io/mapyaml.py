@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from imgloc.errors import MapError
-from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.files import PathLike, display, open_file, read_file
 from imgloc.io.plainyaml import plain_yaml
 from imgloc.io.text import decoded
 from imgloc.model import Pose2D
@@ -91,6 +91,10 @@ class MapYaml:
 
 def load_map_yaml(path: PathLike, given: Container[str] = ()) -> MapYaml:
     """Read a map's YAML, of at most 64 KB; in all else as :func:`parse_map_yaml`."""
+    with open_file(path, limit=1 << 40, error=MapError, what="map YAML") as (file, _):
+        if re.search(rb"^(info|data):", file.read(MAX_YAML_BYTES), re.MULTILINE):
+            said = "a map as ros2 topic echo prints it; map_saver_cli saves it as image and YAML"
+            raise MapError(f"{display(path)}: {said}")
     data = read_file(path, limit=MAX_YAML_BYTES, error=MapError, what="map YAML")
     return parse_map_yaml(data, Path(path), given)
 
@@ -130,8 +134,7 @@ def parse_map_yaml(data: bytes, path: Path, given: Container[str] = ()) -> MapYa
         said[key] = convert(said[key])
         if said[key] is None and key not in given:
             if key not in values:
-                hint = "; map_saver_cli saves a grid as image and YAML" * ("data" in values)
-                hint += f", got {', '.join(map(str, values))}"[:80] * (key == "image" and not hint)
+                hint = f", got {', '.join(map(str, values))}"[:80] * (key == "image")
                 raise MapError(f"{name}: {key}: missing, expected {expected}{hint}")
             shown = repr(values[key])
             shown = shown if len(shown) <= 60 else shown[:57] + "..."

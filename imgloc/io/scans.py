@@ -173,12 +173,13 @@ def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
 def read_npz(path: PathLike) -> ScanSet:
     """Read scans from an NPZ.
 
-    Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` and
-    ``angle_increment``; optionally ``range_min`` (default 0), ``range_max`` (default infinite) and
-    ``time_increment`` (seconds from a reading to the next, default 0), one number or (N,);
-    ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount`` (3,) or (N, 3), where the sensor
-    sits on the robot, NaN where that is not known; ``laser`` (N,), a number for each of several
-    lasers. Other keys are not read. Arrays of objects are refused, as are more than MAX_READINGS.
+    Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` with
+    ``angle_increment`` or ``angle_max``; optionally ``range_min`` (default 0), ``range_max``
+    (default infinite) and ``time_increment`` (seconds from a reading to the next, default 0), one
+    number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount`` (3,) or (N, 3),
+    where the sensor sits on the robot, NaN where that is not known; ``laser`` (N,), a number for
+    each of several lasers. Other keys are not read. Arrays of objects are refused, as are more than
+    MAX_READINGS.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
@@ -241,8 +242,9 @@ _MAGIC = (
     (rb"PK\x03\x04", _NPZ), (rb"#ROSBAG V2", _BAG), (rb"SQLite format 3", _BAG),
     (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD),
     (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
+    (rb"\s*\[[\s\[]*[-\dinf][^\s,]*\s+[-\dinf]", _CSV),  # as NumPy prints arrays
     (rb"\s*(\{|\[\s*[\d{[])", _JSON), (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
-    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*([-+.\w]|[\xc3-\xe9][\x80-\xbf])", _CSV),
+    (rb"(?:\s*(?:[#%\[]|//)[^\n]*\n)*\s*([-+.\w|\"\[]|[\xc3-\xe9][\x80-\xbf])", _CSV),
     (rb"(?s).*?\b(angle|theta)\s*[:=]\s*[-\d]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
@@ -257,13 +259,15 @@ _SPOKEN = (
      "telegrams of a SICK sensor; its ROS driver, sick_scan_xd, makes a LaserScan of each"),
     (rb"(GD|GS|MD|MS)\d{10}",
      "answers of a Hokuyo sensor (SCIP); its ROS driver, urg_node, makes a LaserScan of each"),
-    (rb"\[+\s*[-\dinf][^\s,]*\s+[-\dinf]|array\(|[\w.]+ *= *[\[{]|\{\s*[-.\d]|(- -?\.?\w\S*\n){3}",
+    (rb"[\w.]+ *= *[\[{]|\{\s*[-.\d]|(- -?\.?\w\S*\n){3}",
      "numbers as a program prints them, without angles: write np.savez('scans.npz', ranges=..., "
      "angles=..., range_max=...) in Python, or echo the whole topic, not a field of it"),
     (rb"\s*<[!?\w]", "a page of the web, not the file itself: download that"),
     (rb"version https://git-lfs", "a pointer of Git LFS to the file: git lfs pull fetches it"),
     (rb"\[timestamp\]\s*\d", "a log of UrgBenri: write the lines below [scan] as CSV, and pass "
      "`fov` and `range_scale=0.001`"),
+    (rb".{,200}\bLaserScan\(header=", "messages as Python prints them; ros2 topic echo -f /scan > "
+     "scans.yaml writes them to be read"),
     (rb"\[\s*\(\s*\d", "a list of Python's, as its rplidar prints: write a first line "
      "angle_deg,distance_mm, and below it -angle,distance of each reading"),
 )  # fmt: skip
@@ -319,7 +323,8 @@ def _kind_of(path: PathLike) -> _Kind:
                     hint = "rosbag fix old.bag new.bag of ROS 1 makes one of version 2.0"
                     raise ScanError(f"{name}: is a bag of a version before 2.0; {hint}")
         if kind in (_CARMEN, _CSV, _ECHO) and is_file(file):
-            _refuse_spoken(path)
+            # A field alone that ros2 topic echo prints is no YAML.
+            kind = _CSV if _refuse_spoken(path).startswith(b"array(") else kind
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
         return kind
@@ -327,7 +332,7 @@ def _kind_of(path: PathLike) -> _Kind:
         if lower.endswith((known, f"{known}.gz", f"{known}.zip")):
             raise ScanError(f"{name}: cannot be read: {hint}")
     head = _refuse_spoken(path)
-    if told := ending in ("", ".txt", ".dat", ".scan"):
+    if told := ending in ("", ".txt", ".dat", ".md", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):
                 return kind
@@ -372,17 +377,13 @@ def _refuse_spoken(path: PathLike) -> bytes:
 
 def _npz_size(path: PathLike) -> ScansSize:
     """Size of what :func:`read_npz` would read, by the headers of the arrays."""
-    name, shapes = display(path), dict[str, tuple[int, ...]]()
+    name = display(path)
     with (
         open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (file, length),
         _explained(name),
         zipfile.ZipFile(file) as archive,
     ):
-        for info in archive.infolist():
-            key = info.filename.removesuffix(".npy")
-            if key in KEYS:
-                with archive.open(info) as member:
-                    shapes[key], _, _ = _check_header(member, info.file_size, name, key)
+        shapes = {key: shape for key, _, shape, _, _ in _headers(archive, name)}
     ranges = shapes.get("ranges", ())
     scans = ranges[0] if len(ranges) == 2 else 1
     check_size(scans, math.prod(ranges[-1:]), name)
@@ -400,24 +401,31 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
         count = int.from_bytes(data[end + 10 : end + 12], "little")
         if count not in (len(archive.infolist()), 0xFFFF):  # ZIP64 counts elsewhere
             raise zipfile.BadZipFile("members are missing")
-        for info in archive.infolist():
-            key = info.filename.removesuffix(".npy")
-            if key not in KEYS:
-                # Not read; but opening compares the name with the one at the data, so
-                # that a damaged "range_max" is not taken for somebody else's array.
-                archive.open(info).close()
-                continue
+        for key, file, shape, fortran, dtype in _headers(archive, name):
             if key in arrays:
                 raise ScanError(f"{name}: {key}: in the archive twice, expected once")
-            with archive.open(info) as file:
-                shape, fortran, dtype = _check_header(file, info.file_size, name, key)
-                value = np.frombuffer(file.read(), dtype)
+            value = np.frombuffer(file.read(), dtype)
             value = value.reshape(shape, order="F" if fortran else "C")
             arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
         if "ranges" not in arrays:
             expected = "ranges among them, and angles in radians"
             raise wrong(f"{name}: ranges", ", ".join(archive.namelist())[:200], expected)
     return arrays
+
+
+def _headers(
+    archive: zipfile.ZipFile, name: str
+) -> Iterator[tuple[str, IO[bytes], tuple[int, ...], bool, np.dtype[Any]]]:
+    """Key, open file, shape, order and type of the arrays that are read; others are opened only.
+
+    Opening compares the name with the one at the data, so that a damaged "range_max" is not taken
+    for somebody else's array.
+    """
+    for info in archive.infolist():
+        key = info.filename.removesuffix(".npy")
+        with archive.open(info) as file:
+            if key in KEYS:
+                yield key, file, *_check_header(file, info.file_size, name, key)
 
 
 @contextlib.contextmanager

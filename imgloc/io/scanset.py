@@ -14,7 +14,6 @@ from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.model import (
-    LONGEST_SWEEP,
     MOST_TURNED,
     FloatArray,
     LaserScan,
@@ -33,10 +32,10 @@ MAX_READINGS = 50_000_000
 MAX_SCANS, MAX_RAYS = 500_000, 100_000
 """Scans a file may hold, and readings a scan: 14 hours at 10 Hz, 278 readings a degree."""
 SPACING = ("angle_min", "angle_max", "angle_increment")
-_LIMITS = {"range_min": 0.0, "range_max": math.inf}
+_LIMITS = "range_min", "range_max"
 _PACE = "time_increment"
-_BESIDE, _STEPS = ("poses", "stamps", "odom"), ("angle_min", "angle_increment")
-KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, _PACE, *_BESIDE, "mount", "laser")
+_BESIDE = ("poses", "stamps", "odom")
+KEYS = ("ranges", "angles", *_LIMITS, *SPACING, _PACE, *_BESIDE, "mount", "laser")
 # The greatest reading of a scan is a code if it is that often there: of all readings, readings, and
 # of how often others are. Of 39,000 scans and parts of scans without codes it was so of none.
 _OFTEN, _LEAST, _OTHERS = 0.05, 10, 10
@@ -181,7 +180,7 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
         raise wrong(f"{name}: {key}", f"type {array.dtype}", expected)
     if array.ndim not in ndim:
         raise wrong(f"{name}: {key}", f"shape {array.shape}", expected)
-    return array.astype(np.float64)
+    return array.astype(np.float64, copy=False)
 
 
 _DEGREES = "radians; are these degrees? multiply them by pi / 180"
@@ -189,13 +188,13 @@ _DEGREES = "radians; are these degrees? multiply them by pi / 180"
 
 def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
     """Refuse angles that cannot be directions in radians."""
-    hint = "finite radians (a reading without a direction has to be left out)"
-    _check_finite(angles, name, "angles", hint)
-    worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
-    if abs(worst) > MOST_TURNED:
+    low, high = float(angles.min(initial=0.0)), float(angles.max(initial=0.0))
+    if not math.isfinite(low + high):
+        hint = "finite radians (a reading without a direction has to be left out)"
+        _check_finite(angles, name, "angles", hint)
+    if abs(worst := max(low, high, key=abs)) > MOST_TURNED:
         raise wrong(f"{name}: {key}", f"{worst:g}", _DEGREES)
-    span = np.ptp(angles, axis=-1).max(initial=0.0) if angles.size else 0.0
-    if span > 1.5 * np.pi * 2:
+    if (span := float(np.ptp(angles)) if angles.size else 0.0) > 1.5 * math.tau:
         raise wrong(f"{name}: {key}", f"a span of {span:.3g}", f"at most one turn in {_DEGREES}")
 
 
@@ -251,6 +250,8 @@ def _check_finite(
     array: FloatArray, name: str, key: str, expected: str = "a finite number"
 ) -> None:
     """Refuse an array with an entry that is NaN or infinite."""
+    if np.isfinite(array).all():
+        return
     for at in np.argwhere(~np.isfinite(array))[:1]:
         raise wrong(f"{name}: {key}{at.tolist()}", array[tuple(at)], expected)
 
@@ -261,19 +262,21 @@ def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) ->
     Entries that are broken are left out if there are no more of them than `bad` allows; without it
     none may be. `odom` is NaN for an entry without odometry.
     """
-    bad = bad or BadLines(name, 0.0)
     scans, beside = list[LaserScan](), {"pose": list[FloatArray](), "odom": list[FloatArray]()}
     for where, entry in entries:
         try:
             scan = _scan(entry, where)
             poses = {key: _pose(entry.get(key), where, key) for key in beside}
         except ScanError as error:
+            if bad is None:
+                raise
             bad.skip(error)
             continue
         scans.append(scan)
         for key, pose in poses.items():
             beside[key].append(pose)
-    bad.check(len(scans))
+    if bad is not None:
+        bad.check(len(scans))
     if not scans:
         raise ScanError(f"{name}: contains no scan, expected one per line")
     tables = {key: np.array(poses) for key, poses in beside.items()}
@@ -312,33 +315,19 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         for key in (*(SPACING if spaced else ()), "range_min", _PACE, "stamp")
         if entry.get(key) is not None
     }
-    try:
-        for key in SPACING:
-            _check_angles(np.array([given.get(key, 0.0)]), where, key)
-        if spaced:
-            angles = _spaced_angles(given, len(ranges), where)
-        else:
-            angles = numbers(entry["angles"], where, "angles", ndim=(1,))
-        if len(angles) != len(ranges):
-            raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
-        _check_angles(angles, where)
-    except ScanError as error:
-        if (fov := _STATED.get().fov) is None:
-            raise ScanError(f"{error}; or pass `fov`") from None
-        angles = spread(len(ranges), fov)
+    angles = _angles_of(entry.get("angles"), given, len(ranges), where)
     low, high = given.get("range_min", 0.0), entry.get("range_max")
     _check_limits(low, math.inf, where)
     high = math.inf if high is None else reach_of(high, f"{where}: range_max", low)
     stamp, mount = given.get("stamp", math.nan), MOUNTED.get() or entry.get("mount")
-    _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
         mount = _mount(mount, where)
     laser = entry.get("laser", "")
     if not isinstance(laser, str):
         raise wrong(f"{where}: laser", repr(laser)[:40], "the name of the laser, a text")
     try:
-        return LaserScan(ranges, angles, low, high, stamp, mount, pace, laser)
-    except ConfigError as error:
+        return LaserScan(ranges, angles, low, high, stamp, mount, given.get(_PACE, 0.0), laser)
+    except (ConfigError, ValueError) as error:
         raise ScanError(f"{where}: {error}") from None
 
 
@@ -353,13 +342,6 @@ def _mount(value: Any, where: str) -> Pose2D:
     return pose
 
 
-def _check_pace(pace: float, rays: int, name: str) -> None:
-    """Refuse a time between two of so many readings that no sweep takes."""
-    if not abs(pace) * rays <= LONGEST_SWEEP:
-        expected = f"seconds from a reading to the next, at most {LONGEST_SWEEP:g} s in all"
-        raise wrong(f"{name}: {_PACE}", f"{pace:g}", expected)
-
-
 def scalar(value: Any, where: str) -> float:
     """A JSON value that must be one number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -368,6 +350,25 @@ def scalar(value: Any, where: str) -> float:
         return float(value)
     except OverflowError:  # JSON writes integers of any length
         raise ScanError(f"{where}: got a number of {len(str(value))} digits") from None
+
+
+def _angles_of(value: Any, given: Mapping[str, float], count: int, where: str) -> FloatArray:
+    """Angles of `count` rays: a value, or those of spacing that is `given`, or the stated view."""
+    try:
+        for key in given.keys() & {*SPACING}:
+            _check_angles(np.array([given[key]]), where, key)
+        if value is None:
+            angles = _spaced_angles(given, count, where)
+        else:
+            angles = numbers(value, where, "angles", ndim=(1,))
+        if len(angles) != count:
+            raise wrong(f"{where}: angles", len(angles), f"{count} as in ranges")
+        _check_angles(angles, where)
+    except ScanError as error:
+        if (fov := _STATED.get().fov) is None:
+            raise ScanError(f"{error}; or pass `fov`") from None
+        angles = spread(count, fov)
+    return angles
 
 
 def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatArray:
@@ -407,84 +408,49 @@ def covers(angles: FloatArray, fov: float) -> bool:
 
 def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     """Check that the shapes agree, and cut the arrays into scans."""
-    ranges = np.atleast_2d(arrays["ranges"])
-    n = len(ranges)
+    ranges = np.array(np.atleast_2d(arrays["ranges"]))
+    n, readings = ranges.shape
     if not ranges.size:
         raise wrong(f"{name}: ranges", f"shape {ranges.shape}", "at least one scan and one reading")
-    readings, angles = ranges.shape[1], arrays.get("angles")
     check_size(n, readings, name)
-    if angles is None:
-        if all(key in arrays and arrays[key].size == 1 for key in _STEPS):
-            angles = _spaced_angles({key: arrays[key].item() for key in _STEPS}, readings, name)
-        elif (fov := _STATED.get().fov) is not None:
-            angles = spread(readings, fov)
-        else:
-            expected = "angles in radians (or the numbers angle_min and angle_increment), or `fov`"
-            raise ScanError(f"{name}: angles: missing, expected {readings} {expected}")
-    if angles.shape not in ((readings,), ranges.shape):
-        expected = f"{(readings,)}: ranges are {n} scans of {readings} readings"
-        raise wrong(f"{name}: angles", f"shape {angles.shape}", expected)
-    _check_angles(angles, name)
-    limits = []
-    for key, default in (_LIMITS | {_PACE: 0.0}).items():
-        value = arrays.get(key, np.array(default))
-        if value.size != 1 and value.shape != (n,):
-            raise wrong(f"{name}: {key}", f"shape {value.shape}", f"one number or {(n,)}")
-        limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
-    paces = limits.pop()
-    for k, (low, high, pace) in enumerate(zip(*limits, paces, strict=True)):
-        _check_limits(low, math.inf, name)
-        limits[1][k] = reach_of(high, f"{name}: range_max", low)
-        _check_pace(pace, readings, name)
-    beside: dict[str, FloatArray] = {}
-    for key in [key for key in _BESIDE if key in arrays]:
-        value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
-        if n == 1 and value.shape == shape[1:]:
-            value = value.reshape(shape)
-        if value.shape != shape:
-            raise wrong(f"{name}: {key}", f"shape {value.shape}", f"{shape}")
-        if key != "stamps":
-            said = value[~np.isnan(value).all(axis=1)] if key == "odom" else value
-            _check_finite(said, name, key)
-            if (worst := np.abs(said[:, 2]).max(initial=0.0)) > _MAX_TURN:
-                raise wrong(f"{name}: {key}", f"a theta of {worst:g}", _DEGREES)
-        beside[key] = value
-    stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
-    mounts = _mounts(arrays.get("mount"), n, name)
-    for array in (ranges, angles):  # scans hold parts of them, which nobody else can write to
-        (array if array.base is None else array.base).flags.writeable = False
+
+    def each(key: str, *tail: int, one_for_all: bool = True) -> Any:
+        """The values of a key for each scan: numbers, or arrays of this shape."""
+        value = arrays.get(key)
+        if value is None:
+            return [None] * n
+        value = value.reshape(tail) if value.size == 1 == math.prod(tail) else value
+        shapes = [*([tail] if one_for_all or n == 1 else []), (n, *tail)]
+        if value.shape not in shapes:
+            expected = (
+                f"{' or '.join(map(str, shapes))}: ranges are {n} scans of {readings} readings"
+            )
+            raise wrong(f"{name}: {key}", f"shape {value.shape}", expected)
+        rows = np.broadcast_to(value, (n, *tail))
+        return rows if tail else rows.tolist()
+
+    if "angles" not in arrays:
+        given = {
+            key: arrays[key].item() for key in SPACING if key in arrays and arrays[key].size == 1
+        }
+        arrays["angles"] = _angles_of(None, given, readings, name)
+    arrays["angles"] = np.array(arrays["angles"])
+    for array in (ranges, arrays["angles"]):  # scans hold parts of them
         array.flags.writeable = False
-    around = np.broadcast_to(angles, ranges.shape)
-    lasers = _lasers(arrays.get("laser"), n, name)
-    columns = zip(ranges, around, *limits, stamps, mounts, paces, lasers, strict=True)
-    try:
-        scans = [LaserScan(*column) for column in columns]
-    except ConfigError as error:
-        raise ScanError(f"{name}: {error}") from None
-    poses, times, odom = (beside.get(key) for key in _BESIDE)
-    return ScanSet(_without_codes(scans, name), poses, times, odom)
-
-
-def _mounts(mount: FloatArray | None, n: int, name: str) -> list[Pose2D | None]:
-    """Where the sensor of each of `n` scans sits, from an array (3,) or (n, 3) with NaNs."""
-    if mount is None or MOUNTED.get() is not None:
-        return [MOUNTED.get()] * n
-    if mount.shape not in ((3,), (n, 3)):
-        expected = f"(3,) or {(n, 3)}; or pass `sensor`"
-        raise wrong(f"{name}: mount", f"shape {mount.shape}", expected)
-    rows = np.broadcast_to(mount, (n, 3))
-    return [None if np.isnan(r).all() else _mount(r, name) for r in rows]
-
-
-def _lasers(laser: FloatArray | None, n: int, name: str) -> list[str]:
-    """Names of the lasers of `n` scans, from a number for each."""
-    if laser is None:
-        return [""] * n
-    if laser.size != 1 and laser.shape != (n,):
-        raise wrong(f"{name}: laser", f"shape {laser.shape}", f"one number or {(n,)}")
-    if (odd := laser[~np.isfinite(laser) | (laser != np.rint(laser))]).size:
+    _check_finite(arrays.get("poses", np.zeros(0)), name, "poses")
+    if (odd := np.ravel([v for v in each("laser") if v is not None and v % 1 != 0])).size:
         raise wrong(f"{name}: laser", odd[0], "whole numbers")
-    return [str(int(number)) for number in np.broadcast_to(laser.ravel(), (n,)).tolist()]
+    mounts = [None] * n if MOUNTED.get() is not None else each("mount", 3)
+    columns = {
+        "ranges": ranges, "angles": each("angles", readings),
+        **{key: each(key) for key in (*_LIMITS, _PACE)},
+        "stamp": each("stamps", one_for_all=False),
+        "pose": each("poses", 3, one_for_all=False), "odom": each("odom", 3, one_for_all=False),
+        "mount": [None if m is None or np.isnan(m).all() else m for m in mounts],
+        "laser": ["" if number is None else str(int(number)) for number in each("laser")],
+    }  # fmt: skip
+    rows = zip(*columns.values(), strict=True)
+    return collect([(name, dict(zip(columns, row, strict=True))) for row in rows], name)
 
 
 def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ...]:

@@ -17,7 +17,16 @@ from imgloc.io.bags import LASER, LEVEL, ODOMETRY, TF, Beside, choose_topic
 from imgloc.io.files import PathLike, display
 from imgloc.io.lasers import lasers_of
 from imgloc.io.messages import fields_of, frame_name, matrix_of, planar
-from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, collect, reach_of, scalar
+from imgloc.io.scanset import (
+    MAX_RAYS,
+    SPACING,
+    Entry,
+    ScanSet,
+    ScansSize,
+    collect,
+    reach_of,
+    scalar,
+)
 from imgloc.io.text import MAX_TEXT, open_text, read_text
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
@@ -127,7 +136,8 @@ def _values(text: str, name: str) -> list[Any]:
 def _listed(whole: Any) -> list[Any]:
     """The scans of one JSON value: itself, or those that it lists."""
     if isinstance(whole, list):
-        return whole
+        is_flat = whole and not any(isinstance(item, dict | list | str) for item in whole)
+        return [{"ranges": whole}] if is_flat else whole
     ranges = whole.get("ranges") if isinstance(whole, dict) else None
     if isinstance(ranges, list) and ranges and all(isinstance(row, list) for row in ranges):
         stamps = whole.pop("stamps", None) or [None] * len(ranges)
@@ -313,8 +323,8 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
             number_of(v or "", f"{where}: ranges[{i}]") if isinstance(v, str | None) else v
             for i, v in enumerate(entry["ranges"])
         ]
-    for key in ("range_min", "range_max"):
-        if isinstance(entry.get(key), str):
+    for key in (*SPACING, "range_min", "range_max"):
+        if isinstance(entry.get(key), str):  # 5e-2 has no point: a string to YAML 1.1
             plain[key] = setting_of(key, entry[key], f"{where}: {key}")
     header = h if isinstance(h := entry.get("header"), dict) else {}
     stamp = entry.get("stamp", header.get("stamp"))

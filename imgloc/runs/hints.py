@@ -15,7 +15,7 @@ from imgloc.answers.causes import Cause
 from imgloc.answers.diagnose import Said, is_doubtful, tilted
 from imgloc.model import Evidence, Floor
 from imgloc.options import FUSED
-from imgloc.runs.jobs import Item, Job
+from imgloc.runs.jobs import Item, Job, hash_of
 from imgloc.runs.localize import Localize
 from imgloc.runs.opening import Means
 from imgloc.runs.results import Id, Row, id_of
@@ -58,7 +58,7 @@ class Doubtful:
             self._said[item] = said
 
     def of(self, items: Iterable[Item]) -> list[tuple[Item, Said]]:
-        """A few of the items that are doubtful: of many files, and each with other maps."""
+        """A few of the items that are doubtful, in an order that mixes files and maps."""
         # One scan that fits nowhere is nothing unusual: files of one speak together.
         fine = self._fits
         if 2 * len(self._single - fine) <= len(self._single):
@@ -69,17 +69,8 @@ class Doubtful:
                 return self._bent[item.map] > 0 or bool(tilted(self._said[item.id]))
             return item.id in self._said and item.scans not in fine
 
-        there = [item for item in items if doubted(item)]
-        files = {name: k for k, name in enumerate(sorted({str(i.scans) for i in there}))}
-        maps = {name: k for k, name in enumerate(sorted({i.map for i in there}))}
-        thin = max(1, -(-len(files) // _TRIED))
-        there = [item for item in there if files[str(item.scans)] % thin == 0]
-
-        def turn(item: Item) -> tuple[int, int]:
-            file = files[str(item.scans)] // thin
-            return (maps[item.map] - file) % len(maps), file
-
-        return [(item, self._said[item.id]) for item in sorted(there, key=turn)[:_TRIED]]
+        there = sorted(filter(doubted, items), key=lambda item: hash_of(item.id))
+        return [(item, self._said[item.id]) for item in there[:_TRIED]]
 
 
 def evidence_of(row: Row) -> Evidence:

@@ -27,7 +27,7 @@ from imgloc.runs.opening import Desk, MapFiles
 PICTURES = ("none", "doubtful", "all")
 LOCATING = frozenset({
     "Bending", "Calibration", "EvidenceModel", "FusedOptions", "Trust", "adapt", "background",
-    "beam", "covariance", "distance", "faces", "fit", "floor", "messages", "odometry", "options",
+    "beam", "covariance", "distance", "faces", "floor", "messages", "odometry", "options",
     "pipeline", "priors", "proposals", "protection", "refine", "rescore",
     "scanpoints", "trust", "truth", "weigh",
 })  # fmt: skip
