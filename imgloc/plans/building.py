@@ -159,8 +159,9 @@ class FloorPlan:
             (self.framed_area > 0,
              f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as the "
              "frame of a sheet does"),
-            (not self.scale[1] and self.roomless_share > DOUBT[3],
-             f"{cut}: {self.roomless_share:.0%} of the walls have no room beside them"),
+            (self.roomless_share > DOUBT[3],
+             f"{cut}, or what is drawn around it is taken for walls: {self.roomless_share:.0%} of "
+             "the walls have no room beside them"),
             (self.gaps_share > DOUBT[2],
              f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
              f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "

@@ -7,6 +7,7 @@ shapes do: an arc with a straight leaf is a door, and the widths of doors are a 
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import cv2
@@ -26,7 +27,7 @@ from imgloc.plans.doors import LEAVES, Door, dense, doors_of
 from imgloc.plans.vectors import NAMES, Drawing, Stroke
 
 _KIND = {
-    "": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
+    "": Kind.LINE, "wall": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
     "door": Kind.SWING,
 }  # fmt: skip
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
@@ -77,6 +78,7 @@ _BEARING = re.compile(r"port(eur|ant)\w*")  # and no door
 _WORDS = re.compile(r"[^\W\d_]+|\.com")
 
 
+@cache
 def role_of(name: str) -> str:
     """Return what is drawn on a layer, in blocks, by their names; empty if no word is known."""
     own, *blocks = (_role(part) for part in name.split(" / "))
@@ -362,10 +364,12 @@ def _floors_of(
     sheet = Sheet(low, cell / parts, parts, tuple((size * parts).tolist()), unit)
     drawn = sheet.lines(strokes)
     shut = sheet.lines(Stroke(np.array([d.hinge, d.closed]), "") for d in leaves)
-    walls = _bodies(drawn | sheet.areas(strokes), sheet.pixel, thickest, named=named)
-    if not named:  # lines are walls only beside what is between two of them
-        thick = masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel))
-        walls = np.logical_or(*building.standing(thick, drawn, sheet.pixel))
+    walls = _bodies(sheet, drawn | sheet.areas(strokes), leaves, thickest, named=named)
+    firm = masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel))
+    if named:
+        firm |= sheet.lines(s for s in strokes if role_of(s.layer) == "window")
+    else:  # lines are walls only beside what is between two of them
+        walls = firm = np.logical_or(*building.standing(firm, drawn, sheet.pixel))
     taken = masks.coarser(walls | shut, parts) > 0
     # Without a known door no leaf joins the walls beside it.
     near = building.GAPS[0 if leaves else 1] / cell
@@ -384,6 +388,12 @@ def _floors_of(
         here = slice(y, y + high), slice(x, x + wide)
         inside = np.zeros_like(taken)
         inside[here], closed = building.inside_of((taken & (labels == k))[here], cell, gap)
+        fine = tuple(slice(s.start * parts, s.stop * parts) for s in here)
+        bare = (masks.coarser(firm | shut, parts) > 0) & (labels == k)
+        less, _ = building.inside_of(bare[here], cell, gap)
+        walls[fine], inside[here] = _without_lone_lines(
+            walls[fine], firm[fine], inside[here], less, cell
+        )
         if np.count_nonzero(inside) * cell**2 > building.LEAST:
             own = building.touching(walls, masks.finer(inside, parts))
             between = (masks.coarser(shut & ~walls, parts) > 0) & masks.grown(inside, 1)
@@ -392,27 +402,59 @@ def _floors_of(
     return floors
 
 
-def _bodies(drawn: BoolArray, pixel: float, thickest: float | None, *, named: bool) -> BoolArray:
-    """The lines of walls, and what is between them: nowhere wider than a wall, or a dead end."""
-    free = ~drawn
+def _without_lone_lines(
+    walls: BoolArray, firm: BoolArray, inside: BoolArray, less: BoolArray, cell: float
+) -> tuple[BoolArray, BoolArray]:
+    """Walls and the inside of a floor without lines that bound no wall, as those of dimensions.
+
+    What firm walls enclose without them, `less`, is the building, with rooms that have firm walls
+    on most sides. Lines in it stay if they are joined to a wall.
+    """
+    if _MORE * np.count_nonzero(less) < np.count_nonzero(inside):  # walls are drawn as lines
+        return walls, inside
+    lone, parts = walls & ~masks.grown(firm, 2), len(walls) // len(less)
+    labels, stats = masks.pieces(inside & ~less, 4)
+    wide = 2 * cell * masks.greatest(masks.depth(labels > 0), labels, labels > 0, len(stats))
+    sides = [
+        np.bincount(labels[masks.beside(masks.coarser(m, parts) > 0)], minlength=len(stats))
+        for m in (firm, lone)
+    ]
+    rooms = (wide > building.PIECE) & (sides[0] > building.ENOUGH * sides[1])
+    inside = less | (rooms & (np.arange(len(stats)) > 0))[labels]
+    labels, stats = masks.pieces(lone & masks.finer(masks.grown(inside, 1), parts))
+    joined = masks.met(labels, len(stats), masks.grown(firm, 3))
+    return (walls & ~lone) | joined[labels], inside
+
+
+def _bodies(
+    sheet: Sheet, drawn: BoolArray, leaves: Sequence[Door], thickest: float | None, *, named: bool
+) -> BoolArray:
+    """The lines of walls, and what is between them: nowhere wider than a wall, or a dead end.
+
+    Doors do not open into walls: a space that a leaf swings in is a room.
+    """
+    free, pixel = ~drawn, sheet.pixel
     depth = masks.depth(free)
+    swings = [0.7 * d.hinge + 0.15 * (d.closed + d.opened) for d in leaves]
+
+    def filled(enough: BoolArray, labels: npt.NDArray[np.int32]) -> BoolArray:
+        enough[[0, *(sheet.at(spot, labels, pixel) for spot in swings)]] = False
+        return enough[labels]
+
     labels, stats = masks.pieces(free, 4)
     most = thickest or building.THICKEST[-1 if named else 0]
-    thin = 2 * pixel * masks.greatest(depth, labels, free, len(stats)) <= most
-    thin[0] = False
-    out = drawn | thin[labels]
+    wide = 2 * pixel * masks.greatest(depth, labels, free, len(stats))
+    out = drawn | filled(wide <= most, labels)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     for most, least in zip(
         building.THICKEST if thickest is None else (thickest,), _BODY, strict=False
     ):
         radius = most / 2 / pixel
-        wide = distance_transform((depth <= radius).astype(np.uint8)) <= radius
+        near = distance_transform((depth <= radius).astype(np.uint8)) <= radius
         for _ in range(round(0.7 * radius)):  # into corners, and no line is crossed
-            wide = (cv2.dilate(wide.astype(np.uint8), cross) > 0) & free
-        pieces, found = masks.pieces(free & ~wide, 4)
-        large = found[:, cv2.CC_STAT_AREA] > least / pixel**2
-        large[0] = False
-        out |= large[pieces]
+            near = (cv2.dilate(near.astype(np.uint8), cross) > 0) & free
+        labels, stats = masks.pieces(free & ~near, 4)
+        out |= filled(stats[:, cv2.CC_STAT_AREA] > least / pixel**2, labels)
     return out
 
 
