@@ -1,7 +1,6 @@
 """DXF as strokes: ezdxf unfolds blocks, layers, dashes and widths, as if it drew the model."""
 
 import io
-import re
 from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
@@ -32,33 +31,21 @@ _HOW = Configuration(line_policy=LinePolicy.SOLID, hatch_policy=HatchPolicy.SHOW
 
 def read_dxf(data: bytes) -> Drawing:
     """Read what is drawn in the model of a DXF."""
-    if data.startswith(b"AC10"):
-        raise MapError("it is a DWG, expected a DXF: save it as one")
-    if data.startswith(b"AutoCAD Binary DXF"):
-        raise MapError("it is a binary DXF, expected one as text: save it as ASCII")
+    for start, what in ((b"AC10", "DWG"), (b"AutoCAD Binary DXF", "binary DXF")):
+        if data.startswith(start):
+            raise MapError(f"it is a {what}, expected a DXF as text: save it as ASCII DXF")
     if data.count(b"\n") > _LINES:
         raise MapError(
             f"it has more than {_LINES:,} lines of text, expected the drawing of a floor"
         )
     if not data.rstrip(b"\r\n \x1a\0").endswith(b"EOF"):
-        last = re.findall(rb"\n *0\r?\nSECTION\r?\n *2\r?\n(\w+)", data)
-        raise MapError(
-            "the file is cut off: it does not end with EOF, but in its section "
-            f"{last[-1].decode()}; get the whole file"
-            if last
-            else "it is no DXF: it has no sections and no EOF"
-        )
+        if b"SECTION" not in data:
+            raise MapError("it is no DXF: it has no sections and no EOF")
+        raise MapError("the file is cut off: it does not end with EOF; get the whole file")
     try:
         document, _ = recover.read(io.BytesIO(data))
-        pen, context, model = _Pen(), RenderContext(), document.modelspace()
-        # Neither fonts nor tables of pens are looked for, which a document may name.
-        context.line_pattern = {
-            line.dxf.name.upper(): line.simplified_line_pattern() for line in document.linetypes
-        }
-        context.set_current_layout(model, new_ctb())
-        _Unfolded(context, pen, _HOW).draw_layout(
-            model, layout_properties=context.current_layout_properties
-        )
+        pen, context = _Pen(), RenderContext(document, ctb=new_ctb())  # whichever it names
+        _Unfolded(context, pen, _HOW).draw_layout(document.modelspace())
     except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
         raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
     others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
@@ -67,7 +54,7 @@ def read_dxf(data: bytes) -> Drawing:
 
 
 class _Unfolded(Frontend):
-    """What is drawn of a model, block by block."""
+    """A model, block by block."""
 
     @cached_property
     def off(self) -> set[str]:
