@@ -406,14 +406,14 @@ def _bodies(
 ) -> BoolArray:
     """The lines of walls, and what is between them: nowhere wider than a wall, or a dead end.
 
-    Doors do not open into walls: a space that a leaf swings in is a room.
+    No door leads into a wall: a space on either side of a leaf is a room.
     """
     free, pixel = ~drawn, sheet.pixel
     depth = masks.depth(free)
-    swings = [0.7 * d.hinge + 0.15 * (d.closed + d.opened) for d in leaves]
+    ways = [(d.hinge + d.closed + k * (d.opened - d.hinge)) / 2 for d in leaves for k in (-1, 1)]
 
     def filled(enough: BoolArray, labels: npt.NDArray[np.int32]) -> BoolArray:
-        enough[[0, *(sheet.at(spot, labels, pixel) for spot in swings)]] = False
+        enough[[0, *(sheet.at(spot, labels, pixel) for spot in ways)]] = False
         return enough[labels]
 
     labels, stats = masks.pieces(free, 4)
