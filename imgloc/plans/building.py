@@ -147,7 +147,6 @@ class FloorPlan:
     def doubt(self) -> str:
         """Why the map is most likely wrong; empty if nothing is against it."""
         missed = "the building was most likely missed"
-        cut = "a part of the building was most likely cut off"
         signs = (
             (self.free_share < DOUBT[0],
              f"{missed}: only {self.free_share:.0%} of the drawing became free"),
@@ -159,8 +158,9 @@ class FloorPlan:
             (self.framed_area > 0,
              f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as the "
              "frame of a sheet does"),
-            (not self.scale[1] and self.roomless_share > DOUBT[3],
-             f"{cut}: {self.roomless_share:.0%} of the walls have no room beside them"),
+            (self.roomless_share > DOUBT[3],
+             "a part of the building was most likely cut off, or lines around it are taken for "
+             f"walls: {self.roomless_share:.0%} of the walls have no room beside them"),
             (self.gaps_share > DOUBT[2],
              f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
              f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "

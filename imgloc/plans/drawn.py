@@ -4,9 +4,12 @@ The name of a layer or block has most of it, in any of several languages. Where 
 shapes do: an arc with a straight leaf is a door, and the widths of doors are a measure of the unit.
 """
 
+import json
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -26,7 +29,7 @@ from imgloc.plans.doors import LEAVES, Door, dense, doors_of
 from imgloc.plans.vectors import NAMES, Drawing, Stroke
 
 _KIND = {
-    "": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
+    "": Kind.LINE, "wall": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
     "door": Kind.SWING,
 }  # fmt: skip
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
@@ -45,38 +48,16 @@ _USUAL = (0.65, 1.1)  # metres that half of all doors are wide
 _AROUND = 2.0  # metres around a floor that are shown
 _ROOM = 1.5  # square metres of a room, at least
 
-#: What names of layers and blocks begin with, or hold if four letters or more; the first counts.
-_STEMS: dict[str, str] = {
-    "thing": "furn arred mobil möbel moebel mobel meubl mueble мебел 家具 equip attrezz sanit wc "
-    "eq kitchen küche cucina fixture appliance chair table sofa bed desk plant veget tree car "
-    "people toilet bath sink 洁具 卫生 设备 сантех einricht inventar kalust έπιπλ επιπλ أثاث "
-    "ריהוט thất bútor",
-    "note": (
-        "dim dims quot cota cotas bemas maß text txt scritt anno annot title titol cartig stempel "
-        "axe axes axis asse assi achs eje grid frame border rahmen symb level rights proje proie "
-        "dash tratteg hidden verdeckt roof ceil dach decke techo beam trave elec elek hvac "
-        "defpoint viewport vport area room north nord patt iden tag legend logo leyend "
-        "head demo démol abbruch derrib demol снос 拆除 "
-        "оси размер текст осев штамп 标注 轴 文字 尺寸 图框 轴线 注释 房间 寸法 通り芯 www .com"
-    ),
-    "stairs": "stair scala scale trep trap escal scar comunic лестн 楼梯 階段 schod ramp lift elev",
-    "window": "win wind window winow fenster fenetr fenêtr finestr vetrat ventan janel окн 窗 窓 "
-    "okn glaz glas glass raam vitr gls kozijn infiss serram fönst vindu vindue "
-    "jendela curtain ikkun pencere fereast παράθ παραθ "
-    "نافذ نوافذ חלון sổ ablak 창 サッシ",
-    "door": "door port porte porta türe tür tuer puert двер 门 門 扉 drzw dveř dver kapı deur dør "
-    "dörr ovi pintu usci πόρτ πορτ θύρ θυρ باب أبواب דלת cửa ajtó 문 ドア",
-    "wall": "wall mur mure murs muro muratur wand wänd waende maue paret pared tabiq "
-    "alvenar стен перег 墙 壁 ścian scian sten stěn vegg vägg væg seinä duvar dind cloison partit "
-    "mason maçon mauer tramez tampon trockenbau leichtbau rohbau béton кирпич 隔断 隔墙 間仕切 "
-    "gips drywall plaster cartong column pilast pilar pillar stütz stuetz poteau колон 柱 kolom "
-    "concret beton struct tragw ziegel brick τοίχ τοιχ جدار جدران حائط קיר קירות tường tuong cột "
-    "muur dinding tembok 벽",
-}
+#: Of each role what names of layers and blocks begin with, or hold if four letters or more; the
+#: first role counts.
+_STEMS: dict[str, list[str]] = json.loads(
+    Path(__file__).with_name("layers.json").read_text(encoding="utf-8")
+)
 _BEARING = re.compile(r"port(eur|ant)\w*")  # and no door
 _WORDS = re.compile(r"[^\W\d_]+|\.com")
 
 
+@cache
 def role_of(name: str) -> str:
     """Return what is drawn on a layer, in blocks, by their names; empty if no word is known."""
     own, *blocks = (_role(part) for part in name.split(" / "))
@@ -88,7 +69,7 @@ def role_of(name: str) -> str:
 def _role(name: str) -> str:
     words = _WORDS.findall(_BEARING.sub("wall", name.lower()))
     for role, stems in _STEMS.items():
-        for stem in stems.split():
+        for stem in stems:
             size = len(stem) if stem.isascii() else 4  # one sign may be a whole word
             fits = str.__eq__ if size < 3 else str.startswith if size == 3 else str.__contains__
             if any(fits(word, stem) for word in words):
@@ -118,13 +99,12 @@ def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tu
     for unit, said in drawing.units:
         if 2 * agree(unit) > most and (agree(unit) >= 2 or len(doors) < 3):
             return unit, f"{said} as the file states, and {agree(unit)} doors fit"
+        if not len(doors) and _SIZES[0] < span * unit < _SIZES[1]:
+            return unit, f"{said} as the file states; there is no door to check it by"
     stated = [said for _, said in drawing.units]
     if votes[best] >= 2:
         but = f", and not {stated[0]} as the file states" if stated else ""
         return best, f"{NAMES[best]}, by the widths of {votes[best]} doors{but}"
-    for unit, said in drawing.units:
-        if not len(doors) and _SIZES[0] < span * unit < _SIZES[1]:
-            return unit, f"{said} as the file states; there is no door to check it by"
     raise MapError(
         f"its scale is unknown: the file states {' or '.join(stated) or 'none'}, and no doors fit; "
         "`resolution` is metres a unit of the drawing, and `distance` finds it"
@@ -257,12 +237,11 @@ def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
     names = {s.layer: role_of(s.layer) for s in strokes}
     if walls:
         of = {name: {*name.lower().split(" / ")} for name in names}
-        known = set[str]().union(*of.values())
-        for asked in (name.strip().lower() for name in walls):
+        known, taken = set[str]().union(*of.values()), {name.strip().lower() for name in walls}
+        for asked in sorted(taken):
             if asked not in known:
                 some = ", ".join(sorted(name[:30] for name in known)[:12])
                 raise ConfigError(f"`walls`: got {asked}, expected of the layers {some}")
-        taken = {name.strip().lower() for name in walls}
         names = {
             name: "wall" if of[name] & taken else "" if role == "wall" else role
             for name, role in names.items()
@@ -362,10 +341,12 @@ def _floors_of(
     sheet = Sheet(low, cell / parts, parts, tuple((size * parts).tolist()), unit)
     drawn = sheet.lines(strokes)
     shut = sheet.lines(Stroke(np.array([d.hinge, d.closed]), "") for d in leaves)
-    walls = _bodies(drawn | sheet.areas(strokes), sheet.pixel, thickest, named=named)
-    if not named:  # lines are walls only beside what is between two of them
-        thick = masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel))
-        walls = np.logical_or(*building.standing(thick, drawn, sheet.pixel))
+    walls = _bodies(sheet, drawn | sheet.areas(strokes), leaves, thickest, named=named)
+    firm = masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel))
+    if named:
+        firm |= sheet.lines(s for s in strokes if role_of(s.layer) == "window")
+    else:  # lines are walls only beside what is between two of them
+        walls = firm = np.logical_or(*building.standing(firm, drawn, sheet.pixel))
     taken = masks.coarser(walls | shut, parts) > 0
     # Without a known door no leaf joins the walls beside it.
     near = building.GAPS[0 if leaves else 1] / cell
@@ -384,6 +365,10 @@ def _floors_of(
         here = slice(y, y + high), slice(x, x + wide)
         inside = np.zeros_like(taken)
         inside[here], closed = building.inside_of((taken & (labels == k))[here], cell, gap)
+        fine = tuple(slice(s.start * parts, s.stop * parts) for s in here)
+        bare = (masks.coarser(firm | shut, parts) > 0) & (labels == k)
+        less, _ = building.inside_of(bare[here], cell, gap)
+        walls[fine], inside[here] = _cleared(walls[fine], firm[fine], inside[here], less, cell)
         if np.count_nonzero(inside) * cell**2 > building.LEAST:
             own = building.touching(walls, masks.finer(inside, parts))
             between = (masks.coarser(shut & ~walls, parts) > 0) & masks.grown(inside, 1)
@@ -392,27 +377,59 @@ def _floors_of(
     return floors
 
 
-def _bodies(drawn: BoolArray, pixel: float, thickest: float | None, *, named: bool) -> BoolArray:
-    """The lines of walls, and what is between them: nowhere wider than a wall, or a dead end."""
-    free = ~drawn
+def _cleared(
+    walls: BoolArray, firm: BoolArray, inside: BoolArray, less: BoolArray, cell: float
+) -> tuple[BoolArray, BoolArray]:
+    """Walls and the inside of a floor without lines that bound no wall, as those of dimensions.
+
+    What firm walls enclose without them, `less`, is the building, with rooms that have firm walls
+    on most sides. Lines in it stay if they are joined to a wall.
+    """
+    if _MORE * np.count_nonzero(less) < np.count_nonzero(inside):  # walls are drawn as lines
+        return walls, inside
+    lone, parts = walls & ~masks.grown(firm, 2), len(walls) // len(less)
+    labels, stats = masks.pieces(inside & ~less, 4)
+    wide = 2 * cell * masks.greatest(masks.depth(labels > 0), labels, labels > 0, len(stats))
+    sides = [
+        np.bincount(labels[masks.beside(masks.coarser(m, parts) > 0)], minlength=len(stats))
+        for m in (firm, lone)
+    ]
+    rooms = (wide > building.PIECE) & (sides[0] > building.ENOUGH * sides[1])
+    inside = less | rooms[labels]
+    labels, stats = masks.pieces(lone & masks.finer(masks.grown(inside, 1), parts))
+    joined = masks.met(labels, len(stats), masks.grown(firm, 3))
+    return (walls & ~lone) | joined[labels], inside
+
+
+def _bodies(
+    sheet: Sheet, drawn: BoolArray, leaves: Sequence[Door], thickest: float | None, *, named: bool
+) -> BoolArray:
+    """The lines of walls, and what is between them: nowhere wider than a wall, or a dead end.
+
+    No door leads into a wall: a space on either side of a leaf is a room.
+    """
+    free, pixel = ~drawn, sheet.pixel
     depth = masks.depth(free)
+    ways = [(d.hinge + d.closed + k * (d.opened - d.hinge)) / 2 for d in leaves for k in (-1, 1)]
+
+    def filled(enough: BoolArray, labels: npt.NDArray[np.int32]) -> BoolArray:
+        enough[[0, *(sheet.at(spot, labels, pixel) for spot in ways)]] = False
+        return enough[labels]
+
     labels, stats = masks.pieces(free, 4)
     most = thickest or building.THICKEST[-1 if named else 0]
-    thin = 2 * pixel * masks.greatest(depth, labels, free, len(stats)) <= most
-    thin[0] = False
-    out = drawn | thin[labels]
+    wide = 2 * pixel * masks.greatest(depth, labels, free, len(stats))
+    out = drawn | filled(wide <= most, labels)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     for most, least in zip(
         building.THICKEST if thickest is None else (thickest,), _BODY, strict=False
     ):
         radius = most / 2 / pixel
-        wide = distance_transform((depth <= radius).astype(np.uint8)) <= radius
+        near = distance_transform((depth <= radius).astype(np.uint8)) <= radius
         for _ in range(round(0.7 * radius)):  # into corners, and no line is crossed
-            wide = (cv2.dilate(wide.astype(np.uint8), cross) > 0) & free
-        pieces, found = masks.pieces(free & ~wide, 4)
-        large = found[:, cv2.CC_STAT_AREA] > least / pixel**2
-        large[0] = False
-        out |= large[pieces]
+            near = (cv2.dilate(near.astype(np.uint8), cross) > 0) & free
+        labels, stats = masks.pieces(free & ~near, 4)
+        out |= filled(stats[:, cv2.CC_STAT_AREA] > least / pixel**2, labels)
     return out
 
 

@@ -20,10 +20,8 @@ from imgloc.model import FloatArray
 
 MAX_BYTES = 100_000_000  #: of a file
 MOST = 400_000  #: strokes, and entities in the file; a large floor has some 20,000
-_LINES = 3_000_000  # of a DXF as text, which takes half a minute; a large floor has 200,000
-_DEEP = 24  # blocks within blocks
+DEEP = 24  #: blocks within blocks
 _FAR = 1e10  # units from the zero point: nothing that is built is farther away
-_FINE = 0.003  # of its size, that a line may stay away from its curve
 #: metres of the units of a DXF and their names, by the number in its header
 UNITS = {
     1: (0.0254, "inches"), 2: (0.3048, "feet"), 4: (0.001, "mm"), 5: (0.01, "cm"), 6: (1.0, "m"),
@@ -83,122 +81,21 @@ def read_drawing(path: Path) -> Drawing:
     return drawing
 
 
-def _drawn(points: FloatArray) -> bool:
+def drawn(points: FloatArray) -> bool:
     """Return whether points are a line that can be drawn: an infinite one cannot."""
     return len(points) > 1 and bool((abs(points) < _FAR).all() and np.ptp(points, axis=0).any())
 
 
 def _dxf(data: bytes) -> Drawing:
-    import io
+    from imgloc.plans.dxf import read_dxf
 
-    from ezdxf import recover
-    from ezdxf.lldxf.const import DXFError
-
-    if data.startswith(b"AutoCAD Binary DXF"):
-        raise MapError("it is a binary DXF, expected one as text: save it as ASCII")
-    if data.startswith(b"AC10"):
-        raise MapError("it is a DWG, expected a DXF: save it as one")
-    if data.count(b"\n") > _LINES:
-        raise MapError(
-            f"it has more than {_LINES:,} lines of text, expected the drawing of a floor"
-        )
-    if not data.rstrip(b"\r\n \x1a\0").endswith(b"EOF"):
-        last = re.findall(rb"\n *0\r?\nSECTION\r?\n *2\r?\n(\w+)", data[:MAX_BYTES])
-        raise MapError(
-            "the file is cut off: it does not end with EOF, but in its section "
-            f"{last[-1].decode() if last else '(none)'}; get the whole file"
-            if last
-            else "it is no DXF: it has no sections and no EOF"
-        )
-    try:
-        document, _ = recover.read(io.BytesIO(data))
-        strokes = list(_unfolded(document))
-    except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
-        raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
-    others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
-    unit = UNITS.get(document.header.get("$INSUNITS", 0))
-    return Drawing(strokes, (unit,) if unit else (), missing=tuple(others))
+    return read_dxf(data)
 
 
-def _unfolded(document: Any) -> Iterator[Stroke]:
-    """The strokes of the model of a DXF, its blocks unfolded, without layers that are off."""
-    off = {y.dxf.name.lower() for y in document.layers if y.is_off() or y.is_frozen()}
-    dashes = {t.dxf.name.lower() for t in document.linetypes if len(t.pattern_tags.tags) > 4}
-    lines = {y.dxf.name.lower(): y.dxf.linetype.lower() for y in document.layers}
-    waiting: list[tuple[Any, str, str, tuple[str, ...]]]
-    waiting = [(e, "0", "", ()) for e in reversed(document.modelspace())]
-    count = 0
-    while waiting:
-        entity, layer, line, blocks = waiting.pop()
-        count += 1
-        _bounded(count)
-        layer = layer if entity.dxf.layer == "0" else entity.dxf.layer
-        own = entity.dxf.get("linetype", "BYLAYER").lower()
-        line = {"bylayer": lines.get(layer.lower(), ""), "byblock": line}.get(own, own)
-        if layer.lower() in off or entity.dxf.get("invisible", 0):
-            continue
-        kind = entity.dxftype()
-        if kind == "INSERT":
-            block = entity.dxf.name
-            if block in blocks or len(blocks) >= _DEEP:
-                raise MapError(f"the block {block[:40]} is part of itself")
-            _bounded(max(1, len(entity.block() or ())) * entity.mcount + len(waiting))
-            copies = entity.multi_insert() if entity.mcount > 1 else (entity,)
-            waiting += [
-                (e, layer, line, (*blocks, block)) for c in copies for e in c.virtual_entities()
-            ]
-        elif kind in ("MLINE", "ACAD_PROXY_ENTITY") or (
-            kind == "POLYLINE" and not (entity.is_2d_polyline or entity.is_3d_polyline)
-        ):
-            waiting += [(e, layer, line, blocks) for e in entity.virtual_entities()]
-        else:
-            where = " / ".join((layer, *blocks))
-            for points, filled, wide in _traced(entity, kind):
-                count += 1
-                _bounded(count)
-                if _drawn(points):
-                    yield Stroke(points, where, filled, line in dashes, wide)
-
-
-def _bounded(count: int) -> None:
+def bounded(count: int) -> None:
+    """Refuse a file whose parts unfold to too many."""
     if count > MOST:
         raise MapError(f"its parts unfold to more than {MOST:,}: a bomb?")
-
-
-def _traced(entity: Any, kind: str) -> Iterator[tuple[FloatArray, bool, float]]:
-    """The lines of one entity of a DXF: points, whether they bound an area, their width."""
-    from ezdxf import path
-
-    if kind == "LINE":
-        ends = entity.dxf.start, entity.dxf.end
-        yield np.array([(p.x, p.y) for p in ends]), False, 0.0
-    elif kind in ("HATCH", "MPOLYGON"):
-        for p in path.from_hatch(entity):
-            yield _flat(p), True, 0.0
-    elif kind in ("SOLID", "TRACE", "3DFACE"):
-        points = np.array([(p.x, p.y) for p in entity.wcs_vertices(close=True)])
-        yield points, kind != "3DFACE", 0.0
-    elif kind == "MESH":
-        corners = np.array([(p[0], p[1]) for p in entity.vertices]).reshape(-1, 2)
-        for face in entity.faces:
-            yield corners[[*face, face[0]]], False, 0.0
-    elif kind in ("LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"):
-        wide = 0.0
-        if kind == "LWPOLYLINE":
-            widths = [w for pair in entity.get_points("se") for w in pair]
-            wide = max(entity.dxf.get("const_width", 0.0), *widths, 0.0)
-        elif kind == "POLYLINE":
-            wide = entity.dxf.get("default_start_width", 0.0)
-        yield _flat(path.make_path(entity)), False, float(wide)
-
-
-def _flat(path: Any) -> FloatArray:
-    """The points of a path."""
-    corners = np.array([(p.x, p.y) for p in path.control_vertices()])
-    if len(corners) < 2 or not np.isfinite(corners).all():
-        return np.zeros((0, 2))
-    near = _FINE * float(np.ptp(corners, axis=0).max())
-    return np.array([(p.x, p.y) for p in path.flattening(max(near, 1e-9), segments=2)])
 
 
 _UNSEEN = {"defs", "clipPath", "mask", "symbol", "pattern", "marker", "script", "style", "image",
@@ -234,7 +131,7 @@ def _svg(data: bytes) -> Drawing:
     while waiting:
         e, matrix, layer, style, path = waiting.pop()
         count += 1
-        _bounded(max(count, len(strokes)))
+        bounded(max(count, len(strokes)))
         tag = str(e.tag).rpartition("}")[2]
         style = style | dict(e.attrib)
         classes = [f".{name}" for name in e.get("class", "").split()]
@@ -253,7 +150,7 @@ def _svg(data: bytes) -> Drawing:
                 layer = f"{label} / {layer}" if layer and label else layer or label
             elif tag == "use":
                 name = next((v for k, v in e.items() if k.endswith("href")), "").lstrip("#")
-                if name in path or len(path) >= _DEEP:
+                if name in path or len(path) >= DEEP:
                     raise MapError(f"the element {name[:40]} is part of itself")
                 place = Matrix(f"translate({e.get('x', 0)},{e.get('y', 0)})")
                 if name in known:
@@ -328,7 +225,7 @@ def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:
     for part in (*abs(Path(d) * matrix), None):
         if part is None or isinstance(part, Move):
             out = np.array(points)
-            if _drawn(out):
+            if drawn(out):
                 yield out
             points = [] if part is None else [tuple(part.end)]
         elif isinstance(part, Line | Close):
@@ -361,7 +258,7 @@ def _pdf(data: bytes) -> Drawing:
             texts.append(page.get_textpage().get_text_bounded()[:100_000])
             strokes += _page(raw, page.raw, low)
             low -= 3 * page.get_height()
-            _bounded(len(strokes))
+            bounded(len(strokes))
     except pypdfium2.PdfiumError as error:
         raise MapError(f"it cannot be read as PDF: {error}") from None
     return Drawing(strokes, _stated(_MM["pt"] / 1000, texts), page=True)
@@ -381,11 +278,11 @@ def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
     while waiting:
         obj, outer, deep = waiting.pop()
         count += 1
-        _bounded(count)
+        bounded(count)
         m, kind = raw.FS_MATRIX(), raw.FPDFPageObj_GetType(obj)
         raw.FPDFPageObj_GetMatrix(obj, m)
         matrix = Matrix(m.a, m.b, m.c, m.d, m.e, m.f) * outer
-        if kind == raw.FPDF_PAGEOBJ_FORM and deep < _DEEP:
+        if kind == raw.FPDF_PAGEOBJ_FORM and deep < DEEP:
             n = raw.FPDFFormObj_CountObjects(obj)
             waiting += [(raw.FPDFFormObj_GetObject(obj, k), matrix, deep + 1) for k in range(n)]
         elif kind == raw.FPDF_PAGEOBJ_PATH:

@@ -143,8 +143,7 @@ def test_localize_says_that_its_map_is_a_plan_where_scans_do_not_fit(tmp_path: P
     noise = np.random.default_rng(1).uniform(0.5, 9, (1, 14))
     np.savez(tmp_path / "s.npz", ranges=noise, angles=np.linspace(-3, 3, 14), range_max=20.0)
     words = ("localize", tmp_path / "plan.png", tmp_path / "s.npz", "--no-cache")
-    run = call(*words, "--resolution", 0.1)
-    assert run.code == 0
+    run = call(*words, "--resolution", 0.1).ends(0)
     assert "a floor plan? Then its text, furniture and door swings count as walls" in run.err
     assert "imgloc map plan turns the plan into a map" in run.err
 
@@ -217,8 +216,7 @@ def test_a_frame_that_was_taken_for_the_building_is_warned_of(tmp_path: Path) ->
     cv2.rectangle(sheet, (20, 20), (1080, 780), 0, 8)  # 36 times as large as the rooms
     (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
     run = call("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "--json", "-o",
-               tmp_path / "map.yaml")  # fmt: skip
-    assert run.code == 0, run.err
+               tmp_path / "map.yaml").ends(0)  # fmt: skip
     (row,) = rows(run.out)
     assert row["size"]["width"] > 26
     assert row["framed_area"] == pytest.approx(14, abs=2)

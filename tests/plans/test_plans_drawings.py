@@ -1,6 +1,5 @@
 """`imgloc map plan` of drawings: DXF, SVG and PDF that the tests write themselves."""
 
-import io
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from command import call, rows
 from ezdxf.layouts import Modelspace
+from ezdxf.xclip import XClip
 
 from imgloc.errors import MapError
 from imgloc.io.maps import load_map
@@ -104,17 +104,8 @@ def pdf(path: Path, scale: str = "Scale 1:100") -> Path:
         b"<</Type/Font/Subtype/Type1/BaseFont/NotHere>>>>>>>>",
         b"<</Length %d>>stream\n%s\nendstream" % (len(stream), stream),
     ]
-    out, offsets = io.BytesIO(), []
-    out.write(b"%PDF-1.4\n")
-    for n, part in enumerate(parts, 1):
-        offsets.append(out.tell())
-        out.write(b"%d 0 obj\n%s\nendobj\n" % (n, part))
-    start = out.tell()
-    out.write(
-        b"xref\n0 5\n0000000000 65535 f \n" + b"".join(b"%010d 00000 n \n" % o for o in offsets)
-    )
-    out.write(b"trailer<</Size 5/Root 1 0 R>>\nstartxref\n%d\n%%%%EOF" % start)
-    path.write_bytes(out.getvalue())
+    objects = b"".join(b"%d 0 obj\n%s\nendobj\n" % (n, part) for n, part in enumerate(parts, 1))
+    path.write_bytes(b"%PDF-1.4\n" + objects + b"trailer<</Root 1 0 R>>\n%%EOF")
     return path
 
 
@@ -186,8 +177,7 @@ def test_doors_are_open_closed_or_unknown_and_furniture_stays_if_asked(tmp_path:
 def test_two_floors_in_one_file_are_two_maps(tmp_path: Path) -> None:
     path = dxf(tmp_path / "a.dxf", shift=((0, 0), (0, 8), (40, 3)))
     run = call("map", "plan", path, "-o", tmp_path / "m.yaml", "--json", "--picture",
-               tmp_path / "seen.png")  # fmt: skip
-    assert run.code == 0, run.err
+               tmp_path / "seen.png").ends(0)  # fmt: skip
     assert [Path(row["map"]).name for row in rows(run.out)] == ["m.yaml", "m-2.yaml", "m-3.yaml"]
     corners = {round(load_map(tmp_path / f).origin.x) for f in ("m.yaml", "m-2.yaml", "m-3.yaml")}
     assert corners == {0, 40} or corners == {-1, 39}
@@ -234,10 +224,24 @@ def changed(folder: Path, change: Callable[[Modelspace], None]) -> list[FloorPla
 
 
 @pytest.mark.parametrize("layer", ["0", "WALLS"])
-def test_a_frame_round_the_floor_is_none_of_it(tmp_path: Path, layer: str) -> None:
-    frame, at = [(-9000, -9000), (30000, -9000), (30000, 20000), (-9000, 20000)], {"layer": layer}
-    (found,) = changed(tmp_path, lambda m: m.add_lwpolyline(frame, close=True, dxfattribs=at))
-    assert (found.size, found.doubt) == (pytest.approx((10.6, 4.4), rel=0.01), "")
+def test_a_frame_and_dimensions_round_the_floor_are_none_of_it(tmp_path: Path, layer: str) -> None:
+    ways = [[(x, -1700), (x, 0)] for x in (0, 4000, 10600)] + [[(-300, -1500), (10900, -1500)]]
+    ways.append([(-9000, -9000), (30000, -9000), (30000, 20000), (-9000, 20000), (-9000, -9000)])
+    at = {"layer": layer}
+    (found,) = changed(tmp_path, lambda m: [m.add_lwpolyline(w, dxfattribs=at) for w in ways])
+    assert (found.size, found.doubt) == (pytest.approx((10.6, 4.4), abs=0.06), "")
+
+
+def test_what_a_clipped_block_hides_is_no_floor(tmp_path: Path) -> None:
+    document = ezdxf.readfile(dxf(tmp_path / "a.dxf", shift=((0, 0), (40, 0))))
+    model, block = document.modelspace(), document.blocks.new("SITE")
+    for entity in [*model]:
+        model.move_to_layout(entity, block)
+    clip = XClip(model.add_blockref("SITE", (0, 0)))
+    clip.set_block_clipping_path([(-2000, -2000), (20000, 9000)])
+    document.saveas(tmp_path / "clipped.dxf")
+    (found,) = drawing_to_maps(read_drawing(tmp_path / "clipped.dxf"))
+    assert found.size == pytest.approx((10.6, 4.4), rel=0.01)
 
 
 def test_walls_across_doors_are_warned_of(tmp_path: Path) -> None:

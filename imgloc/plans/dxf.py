@@ -1,0 +1,125 @@
+"""DXF as strokes: ezdxf unfolds blocks, layers, dashes and widths, as if it drew the model."""
+
+import io
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from ezdxf import recover
+from ezdxf.addons.acadctb import new_ctb
+from ezdxf.addons.drawing.backend import Backend, BkPath2d, BkPoints2d
+from ezdxf.addons.drawing.config import Configuration, HatchPolicy, LinePolicy
+from ezdxf.addons.drawing.frontend import Frontend
+from ezdxf.addons.drawing.properties import Properties, RenderContext
+from ezdxf.entities.dxfgfx import DXFGraphic
+from ezdxf.entities.insert import Insert
+from ezdxf.lldxf.const import DXFError
+from ezdxf.math import Vec2
+
+from imgloc.errors import MapError
+from imgloc.plans.vectors import DEEP, UNITS, Drawing, Stroke, bounded, drawn
+
+_LINES = 3_000_000  # of a DXF as text, which takes half a minute; a large floor has 200,000
+_FINE = 0.003  # of its size, that a line may stay away from its curve
+_DRAWN = {
+    "LINE", "LWPOLYLINE", "POLYLINE", "MLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "HATCH",
+    "MPOLYGON", "SOLID", "TRACE", "3DFACE", "MESH", "INSERT", "ACAD_PROXY_ENTITY",
+}  # fmt: skip
+_HOW = Configuration(line_policy=LinePolicy.SOLID, hatch_policy=HatchPolicy.SHOW_SOLID)
+
+
+def read_dxf(data: bytes) -> Drawing:
+    """Read what is drawn in the model of a DXF."""
+    for start, what in ((b"AC10", "DWG"), (b"AutoCAD Binary DXF", "binary DXF")):
+        if data.startswith(start):
+            raise MapError(f"it is a {what}, expected a DXF as text: save it as ASCII DXF")
+    if data.count(b"\n") > _LINES:
+        raise MapError(
+            f"it has more than {_LINES:,} lines of text, expected the drawing of a floor"
+        )
+    if not data.rstrip(b"\r\n \x1a\0").endswith(b"EOF"):
+        if b"SECTION" not in data:
+            raise MapError("it is no DXF: it has no sections and no EOF")
+        raise MapError("the file is cut off: it does not end with EOF; get the whole file")
+    try:
+        document, _ = recover.read(io.BytesIO(data))
+        pen, context = _Pen(), RenderContext(document, ctb=new_ctb())  # whichever it names
+        _Unfolded(context, pen, _HOW).draw_layout(document.modelspace())
+    except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+        raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
+    others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
+    unit = UNITS.get(document.header.get("$INSUNITS", 0))
+    return Drawing(pen.strokes, (unit,) if unit else (), missing=tuple(others))
+
+
+class _Unfolded(Frontend):
+    """A model, block by block."""
+
+    @cached_property
+    def off(self) -> set[str]:
+        """Layers that are off, whose blocks are left out as a whole."""
+        return {name for name, layer in self.ctx.layers.items() if not layer.is_visible}
+
+    def draw_entities(self, entities: Iterable[DXFGraphic], **_: Any) -> None:
+        """Draw what may be a part of a building."""
+        some = (e for e in entities if e.dxftype() in _DRAWN)
+        super().draw_entities(
+            e for e in some if not (isinstance(e, Insert) and e.dxf.layer.lower() in self.off)
+        )
+
+
+class _Pen(Backend):
+    """Lines that are drawn, as strokes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.strokes: list[Stroke] = []
+        self.count = 0
+
+    def enter_entity(self, entity: DXFGraphic, properties: Properties) -> None:
+        """Count an entity, and its copies, before it is unfolded."""
+        super().enter_entity(entity, properties)
+        self.count += max(1, getattr(entity, "mcount", 1))
+        bounded(self.count)
+        if len(self.entity_stack) > DEEP:
+            raise MapError(f"the block {entity.dxf.get('name', '')[:40]} is part of itself")
+
+    def _keep(self, points: Iterable[Vec2], *, filled: bool = False) -> None:
+        line, (_, own) = np.array([(p.x, p.y) for p in points]), self.entity_stack[-1]
+        blocks = [e.dxf.name for e, _ in self.entity_stack if isinstance(e, Insert)]
+        bounded(len(self.strokes))
+        if drawn(line):
+            where, dashed = " / ".join((own.layer, *blocks)), len(own.linetype_pattern) > 1
+            self.strokes.append(Stroke(line, where, filled, dashed))
+
+    def draw_line(self, start: Vec2, end: Vec2, _: object) -> None:
+        """Keep a line."""
+        self._keep((start, end))
+
+    def draw_path(self, path: BkPath2d, _: object) -> None:
+        """Keep a curve as straight lines."""
+        self._keep(_flat(path))
+
+    def draw_filled_paths(self, paths: Iterable[BkPath2d], _: object) -> None:
+        """Keep the edges of an area."""
+        for path in paths:
+            self._keep(_flat(path), filled=True)
+
+    def draw_filled_polygon(self, points: BkPoints2d, _: object) -> None:
+        """Keep the edge of an area."""
+        corners = points.vertices()
+        self._keep((*corners, corners[0]), filled=True)
+
+    def _left_out(self, *_: Any, **__: Any) -> None:
+        """Points, images and colours are no part of a building."""
+
+    draw_point = draw_image = set_background = clear = _left_out
+
+
+def _flat(path: BkPath2d) -> Iterable[Vec2]:
+    """The points of a path."""
+    corners = np.array(path.to_tuples())
+    if len(corners) < 2 or not np.isfinite(corners).all():
+        return ()
+    return path.flattening(max(_FINE * float(np.ptp(corners, axis=0).max()), 1e-9), segments=2)
