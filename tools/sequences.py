@@ -5,8 +5,7 @@ it was recorded)::
 
     python -m tools.sequences ../data/fr079_half ../data/duke_loop5 --out sequences
 
-It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), and a track of each
-log over its map. *Localized* is what ``~/status`` of ``imgloc node`` says.
+It writes a table (``sequences.md``, and every number in ``sequences.jsonl``). *Localized* is what ``~/status`` of ``imgloc node`` says.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,11 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from imgloc import Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
+from imgloc import Options, ScanSet, load_map, load_scans
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
 from tools.filters import Searches, Trials, measure, parser_of_logs, write_rows
 from tools.recorded import scans_in
@@ -161,40 +159,28 @@ def _share(share: Mapping[str, Any]) -> str:
     return "-" if not share["trials"] else f"{share['value']:.2f}"
 
 
-def draw_log(folder: Path) -> Picture:
-    """The track of a log over its map."""
-    grid, scans, _ = load_log(folder)
-    features = prepare(grid, folder.name)
-    moments = list(follow(features, scans, make_filter("tracker", features, Options())))
-    return draw_track(grid, moments, scans.poses)
-
-
 def main() -> None:
-    """Measure, and write the table and the figures."""
+    """Measure, and write the table."""
     parser = parser_of_logs("sequences", __doc__)
     parser.add_argument("--starts", type=int, default=50, help="at random (default 50)")
     parser.add_argument("--seconds", type=float, default=30.0, help="between regular starts")
     parser.add_argument("--kidnaps", type=int, default=20)
     parser.add_argument("--metres", type=float, default=15.0)
     parser.add_argument("--cases", default="*", help="only those: patterns with ; between")
-    parser.add_argument("--picture", action="store_true", help="only the tracks")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    if not given.picture:
-        trials = Trials(given.starts, given.metres, given.kidnaps, given.seed)
-        trials = replace(trials, seconds=given.seconds)
-        wanted = given.cases.split(";")
-        cases = [c for c in CASES if any(fnmatchcase(c.name, pattern) for pattern in wanted)]
-        rows: list[dict[str, Any]] = []
-        for folder in given.folders:
-            count = len(cases) * trials.count(load_scans(folder / "scans.npz"))
-            with progress(folder.name, count) as advance:
-                for row in measure_log(folder, cases, trials, advance, given.searches):
-                    rows.append(row)
-                    write_rows(given.out, "sequences", rows, page(rows, trials))
-        print((given.out / "sequences.md").read_text())
+    trials = Trials(given.starts, given.metres, given.kidnaps, given.seed)
+    trials = replace(trials, seconds=given.seconds)
+    wanted = given.cases.split(";")
+    cases = [c for c in CASES if any(fnmatchcase(c.name, pattern) for pattern in wanted)]
+    rows: list[dict[str, Any]] = []
     for folder in given.folders:
-        draw_log(folder).save(given.out / f"track-{folder.name}.png", force=True)
+        count = len(cases) * trials.count(load_scans(folder / "scans.npz"))
+        with progress(folder.name, count) as advance:
+            for row in measure_log(folder, cases, trials, advance, given.searches):
+                rows.append(row)
+                write_rows(given.out, "sequences", rows, page(rows, trials))
+    print((given.out / "sequences.md").read_text())
 
 
 if __name__ == "__main__":
