@@ -5,7 +5,8 @@ it was recorded)::
 
     python -m tools.sequences ../data/fr079_half ../data/duke_loop5 --out sequences
 
-It writes a table (``sequences.md``, and every number in ``sequences.jsonl``). *Localized* is what ``~/status`` of ``imgloc node`` says.
+It writes a table (``sequences.md``, and every number in ``sequences.jsonl``). *Localized* is what
+``~/status`` of ``imgloc node`` says.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
