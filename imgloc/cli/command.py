@@ -22,7 +22,7 @@ from typer.core import TyperCommand
 
 from imgloc import ranges
 from imgloc.cli.console import LACKS
-from imgloc.cli.typed import SHARED, Shares
+from imgloc.cli.typed import SHARED, Shares, taking
 from imgloc.errors import ConfigError
 from imgloc.ranges import Declared, OneOf, Option, declaration, declared, help_of
 from imgloc.texts import WITH_COMMAS
@@ -120,7 +120,7 @@ class Command(Shares, TyperCommand):
         lacking = {f"--{name}": vain.get(" ".join(hint.split()[:2]), hint)
                    for name, hint in GONE.items() if f"--{name}" not in own}  # fmt: skip
         ctx.meta.setdefault(LACKS, {}).update(lacking)
-        words, taking = args[: args.index("--")] if "--" in args else args, self.taking(ctx)
+        words = args[: args.index("--")] if "--" in args else args
         for word in words:
             old = word.partition("=")[0]
             if old in lacking:
@@ -130,7 +130,7 @@ class Command(Shares, TyperCommand):
                 where = f"results go to standard output: > FILE keeps them, --json as JSON{also}"
                 raise ConfigError(f"{old}: {'expected --out' if '--out' in own else where}")
         for word, value in pairwise(words):
-            if word in taking and value.partition("=")[0] in own:
+            if word in taking(self, ctx) and value.partition("=")[0] in own:
                 ctx.fail(f"Option {word!r} requires an argument.")
         return super().parse_args(ctx, args)
 

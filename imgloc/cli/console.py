@@ -19,7 +19,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from imgloc.cli.typed import Shares
+from imgloc.cli.typed import Shares, taking
 from imgloc.errors import STDERR, ConfigError, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
@@ -51,7 +51,7 @@ class Subgroup(Shares, TyperGroup):
         words = [word for word in args[:end] if word not in first]
         there = [k for k, word in enumerate(words) if word in self.commands]
         commands: list[Any] = [self.commands[words[k]] for k in there]
-        lacking = self.taking(ctx).union(*(command.taking(ctx) for command in commands))
+        lacking = taking(self, ctx).union(*(taking(command, ctx) for command in commands))
         at = [k for k in there if not k or words[k - 1] not in lacking]  # others are values
         if there and not at:
             ctx.fail(f"Option {words[there[0] - 1]!r} requires an argument.")

@@ -40,6 +40,12 @@ def as_typed(params: Sequence[Any]) -> Sequence[Any]:
 SHARED = "imgloc.shared"  # where a context has the texts of options of the program
 
 
+def taking(command: Any, ctx: Any) -> set[str]:
+    """The names of the options of a command after which a value stands."""
+    options = [p for p in command.get_params(ctx) if p.param_type_name == "option"]
+    return {name for p in options if not (p.is_flag or p.count) for name in p.opts}
+
+
 class Shares:
     """A command that takes options which are declared once, at the program."""
 
@@ -52,11 +58,6 @@ class Shares:
         """The options: its own, those of the program that it takes, and that for help."""
         own = super().get_params(ctx)  # type: ignore[misc]
         return as_typed([*own[:-1], *(self.shared(ctx) if ctx.parent else ()), *own[-1:]])
-
-    def taking(self, ctx: Any) -> set[str]:
-        """The names of the options after which a value stands."""
-        options = [p for p in self.get_params(ctx) if p.param_type_name == "option"]
-        return {name for p in options if not (p.is_flag or p.count) for name in p.opts}
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; Typer does not know the options that the program has."""

@@ -422,7 +422,8 @@ class Tracker:
         due = strange or self._unsearched >= self._pause
         found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.
-        if due and len(found.poses) and not self._proven and self._judge_shared(view, found.poses):
+        asked = due and len(found.poses) > 0 and not self._proven
+        if asked and self._judge_shared(view, found.poses):
             self._begin_again()
             found = self._search(used, view, due=True, strange=True)
             known = len(self._poses)
@@ -463,14 +464,15 @@ class Tracker:
         self._normalise()
         self._bear(seen, 2 * known, new)
         self._tidy()
-        self._agree(view, laser, mapped)
+        self._agree(view, laser, mapped, asked=asked)
         self._judge_map(self._explains(laser, mapped))
         self._remember()
 
-    def _agree(self, view: View, laser: Laser, mapped: bool) -> None:
+    def _agree(self, view: View, laser: Laser, mapped: bool, *, asked: bool) -> None:
         """Count the scans that agree with the best component, and learn from this one.
 
-        `mapped` is whether the map explains the scan there better than a building on no map.
+        `mapped` is whether the map explains the scan there better than a building on no map,
+        `asked` whether the scan was asked for shared errors already.
         """
         how = self.how
         least = how.mass[self.options.shared.bent > 0]
@@ -483,7 +485,7 @@ class Tracker:
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
-            if alone and self._proven:
+            if alone and not asked and (self._proven or self._begun is not None):
                 self._judge_shared(view, self._poses[:1])
 
     def _search(
@@ -547,7 +549,8 @@ class Tracker:
         now = replace(shared, straight=shared.straight or self._proven)
         found = judged(self._told, now, self._given, image_gain(self._drawn))
         # At wrong places scans fit with any scale.
-        scale = found.scale if self._proven else shared.scale
+        known = self._proven or self._begun is not None
+        scale = found.scale if known else shared.scale
         found = replace(found, scale=scale, straight=shared.straight)
         far = abs(np.log(found.scale / self._given)) >= np.log(options.fused.most_scaled)
         return found != shared and not far and self._share(found)

@@ -425,6 +425,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
             expected = (
                 f"{' or '.join(map(str, shapes))}: ranges are {n} scans of {readings} readings"
             )
+            expected += "; or pass `sensor`" * (key == "mount")
             raise wrong(f"{name}: {key}", f"shape {value.shape}", expected)
         rows = np.broadcast_to(value, (n, *tail))
         return rows if tail else rows.tolist()

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from imgloc.answers.sample import sample_poses
+from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
@@ -96,6 +97,8 @@ class ParticleFilter(ScannedFilter):
         how: ParticleOptions | None = None, *, seed: int = 0,
     ) -> None:  # fmt: skip
         self.how = how or ParticleOptions()
+        if self.how.least > self.how.most:
+            raise ConfigError(f"particles: got {self.how.least} to {self.how.most}")
         super().__init__(features, replace(options or Options(), top=20), self.how)
         self._rng = np.random.default_rng(seed)
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)

@@ -40,7 +40,7 @@ from imgloc.runs.hints import Doubtful, hints_of
 from imgloc.runs.jobs import Answer, Item, Job, hash_of, make_job
 from imgloc.runs.localize import Localize
 from imgloc.runs.opening import Means
-from imgloc.runs.results import Results, Row, read_rows, read_summary
+from imgloc.runs.results import RESULTS, Results, Row, read_rows, read_summary
 from imgloc.runs.workers import LOST, CrashError, OverdueError, Supervised
 
 TIMEOUT = 3600.0  #: seconds that an item may take
@@ -181,7 +181,7 @@ def run_batch(
         "scans": None if scans is None else display(scans),
         "parameters": {digest: job.parameters},
     }
-    new = 0
+    new, warned = 0, set[str]()
     with Results(out, about, resume=resume or retry_failed) as results:
         todo = remaining(found, job, results.known, retry_failed=retry_failed)
         with contextlib.ExitStack() as stack:
@@ -193,6 +193,7 @@ def run_batch(
                 for row, pictures in rows_of(todo, job, executor, means):
                     results.add(row, pictures)
                     new += 1
+                    _warn(row["cost"].get("warnings", ()), warned)
                     if on_row is not None:
                         on_row(row)
                 results.look()
@@ -210,6 +211,15 @@ def run_batch(
         summary.new, summary.seconds = new, round(time.monotonic() - start, 3)
         results.summarise(summary.as_row())
     return summary
+
+
+def _warn(texts: Iterable[str], warned: set[str]) -> None:
+    """Pass on what workers have warned of, once each."""
+    for text in texts:
+        if text not in warned and len(warned) <= _WARNED:
+            warned.add(text)
+            more = f"more warnings are in cost.warnings of the rows of {RESULTS}"
+            _LOG.warning("%s", text if len(warned) <= _WARNED else more)
 
 
 def summarise(rows: Iterable[Row]) -> BatchSummary:
