@@ -98,8 +98,15 @@ def test_no_points_give_no_field():
     assert not vmap(points(np.zeros((0, 2)), []), (4, 5), 0.1, 0.1).any()
 
 
-def test_sigma_is_no_larger_than_the_map():
+@pytest.mark.parametrize("sigma", [0.0, -1.0, float("nan"), float("inf"), 1e6])
+def test_sigma_out_of_range(sigma):
     with pytest.raises(ConfigError, match="sigma"):
-        bmap(np.zeros((1, 2)), (4, 5), 0.1, 0.6)
+        bmap(np.zeros((1, 2)), (4, 5), 0.1, sigma)
     with pytest.raises(ConfigError, match="sigma"):
-        vmap(points([[0.1, 0.1]], [0.0]), (4, 5), 0.1, 0.6)
+        vmap(points([[0.1, 0.1]], [0.0]), (4, 5), 0.1, sigma)
+
+
+@pytest.mark.parametrize(("shape", "resolution"), [((0, 5), 0.1), ((4, 5), 0.0)])
+def test_shape_and_resolution_out_of_range(shape, resolution):
+    with pytest.raises(ConfigError, match=r"shape|resolution"):
+        bmap(np.zeros((1, 2)), shape, resolution, 0.1)

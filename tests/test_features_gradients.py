@@ -4,6 +4,7 @@ import naive
 import numpy as np
 import pytest
 
+from imgloc.errors import ConfigError
 from imgloc.features.fields import vmap
 from imgloc.features.gradients import vmap_of_image
 from imgloc.features.mapfeatures import MapFeatures
@@ -102,8 +103,17 @@ def test_features_take_it_from_either():
     assert image.vmap.shape == contours.vmap.shape
     assert (image.vmap != contours.vmap).any()
     assert not image.vmap.flags.writeable
+    for wrong in ({"vmap_from": "scan"}, {"visibility_by": "eye"}):
+        with pytest.raises(ConfigError, match="must be one of"):
+            MapFeatures(grid, **wrong)
 
 
 def test_without_walls_there_is_no_field():
     nothing = np.zeros((5, 6), bool)
     assert not vmap_of_image(nothing, ~nothing, 0.1, 0.1).any()
+
+
+@pytest.mark.parametrize(("resolution", "sigma"), [(0.0, 0.1), (0.1, 0.0), (0.1, np.nan)])
+def test_wrong_parameters(resolution, sigma):
+    with pytest.raises(ConfigError, match="must be positive and finite"):
+        vmap_of_image(np.eye(3, dtype=bool), ~np.eye(3, dtype=bool), resolution, sigma)

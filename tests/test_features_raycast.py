@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 
@@ -137,3 +138,21 @@ def test_no_rays(angles):
     origins = np.empty((*np.shape(angles), 2))
     got = cast_rays(distance_image(ROOM), origins, angles, 1.0, 1.0)
     assert got.shape == np.shape(angles)
+
+
+@pytest.mark.parametrize(
+    ("origin", "angle", "max_range", "resolution"),
+    [
+        ((np.nan, 1.0), 0.0, 1.0, 1.0),
+        ((1.0, 1.0), INF, 1.0, 1.0),
+        ((1.0, 1.0), 0.0, 0.0, 1.0),
+        ((1.0, 1.0), 0.0, INF, 1.0),
+        ((1.0, 1.0), [0.0, 0.0], [1.0, np.nan], 1.0),
+        ((1.0, 1.0), 0.0, 1.0, 0.0),
+        ((1.0, 1.0), 0.0, 1.0, -0.1),
+        ((1.0, 1.0), 0.0, 1.0, np.nan),
+    ],
+)
+def test_nonsense_is_refused(origin, angle, max_range, resolution):
+    with pytest.raises((ConfigError, ValueError), match="finite"):
+        cast_rays(distance_image(ROOM), origin, angle, max_range, resolution)

@@ -173,6 +173,20 @@ def test_readings_beyond_uint16_saturate():
     assert stack[0, 0, 100] == 59850  # 699 - 100.5 m
 
 
-def test_a_map_that_cannot_be_rotated_is_refused():
-    with pytest.raises(ConfigError, match="too large"):
-        ray_distances(np.zeros((2, 32767), bool), 0.1, 4, 9.0)
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"n_psi": 0},
+        {"max_range": 0.0},
+        {"max_range": 700.0},
+        {"max_range": float("nan")},
+        {"resolution": 0.0},
+        {"occupied": np.zeros((0, 4), bool)},
+        {"occupied": np.zeros(4, bool)},
+        {"occupied": np.zeros((2, 32767), bool)},
+    ],
+)
+def test_wrong_parameters(kwargs):
+    given_ = {"occupied": np.zeros((4, 4), bool), "resolution": 0.1, "n_psi": 4, "max_range": 9.0}
+    with pytest.raises(ConfigError):
+        ray_distances(**{**given_, **kwargs})

@@ -194,6 +194,11 @@ def test_order_and_heading_of_the_rays_do_not_matter(seed, turn):
     assert (off < 1e-4).mean() > 0.99  # but for ties between windows
 
 
+def test_wrong_lengths():
+    with pytest.raises(ValueError, match="one length"):
+        scan_points(np.ones(4), np.zeros(3), np.ones(4, bool))
+
+
 @pytest.mark.parametrize("name", ["fr079", "gh25", "duke_loop5"])
 def test_real_scans_have_normals_almost_everywhere(shared, name):
     with np.load(shared / "data" / name / "scans.npz") as data:

@@ -125,7 +125,35 @@ def test_the_deviation_of_a_heading_shrinks_with_their_step():
     assert heading_sigma(36) == pytest.approx(10 * heading_sigma(360))
 
 
-def test_directions_are_a_multiple_of_the_headings():
-    four, two = uniform_thetas(np.pi / 2), np.ones(2)
-    with pytest.raises(ConfigError, match="multiple"):
-        beam(np.zeros((6, 3, 3), np.uint16), two, two, two > 0, four)
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"sigma": 0.0},
+        {"threads": 0},
+        {"threads": -1},
+        {"sigma": float("nan")},
+        {"sigma_theta": -0.1},
+        {"span": 0.0},
+        {"hit": 0.9, "short": 0.1},
+        {"hit": -0.1},
+        {"distances": np.zeros((4, 3, 3))},
+        {"distances": np.zeros((4, 3), np.uint16)},
+        {"distances": np.zeros((6, 3, 3), np.uint16)},  # not a multiple of the four headings
+        {"thetas": NONE},
+        {"thetas": np.array([0.0, 1.0, 2.0, 3.0])},
+        {"thetas": uniform_thetas(np.pi / 2) + 0.1},
+        {"angles": NONE},
+        {"valid": NONE.astype(bool)},
+    ],
+)
+def test_wrong_parameters(kwargs):
+    good = {
+        "distances": np.zeros((4, 3, 3), np.uint16),
+        "ranges": np.ones(2),
+        "angles": np.zeros(2),
+        "valid": np.ones(2, bool),
+        "thetas": uniform_thetas(np.pi / 2),
+    }
+    beam(**good)
+    with pytest.raises(ConfigError):
+        beam(**{**good, **kwargs})

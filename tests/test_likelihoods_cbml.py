@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.correlate import EXACT
@@ -41,7 +42,7 @@ def test_turning_the_map_is_exact_for_quarter_turns(shape):
     rng = np.random.default_rng(1)
     levels = rng.integers(0, 256, shape)
     xy = rng.uniform(-0.5, 0.5, (13, 2))
-    xy[5:9] = xy[5]  # some share a cell
+    xy[4], xy[5:9] = np.nan, xy[5]  # some share a cell
     bmap = (levels / 255).astype(np.float32)
     stack = cbml(bmap, xy, QUARTERS, 0.1, engine="remap")
     expected = naive.cbml(levels, xy, QUARTERS, 0.1) / 255
@@ -78,12 +79,21 @@ def test_cbml_equals_algorithm_1(engine, shape):
     rng = np.random.default_rng(1)
     bmap = rng.random(shape).astype(np.float32)
     xy = rng.uniform(-0.5, 0.5, (13, 2))
+    xy[4] = np.nan
     thetas = np.array([0.0, 2.0, -9.0])
     stack = cbml(bmap, xy, thetas, 0.1, engine=engine)
     levels = np.rint(bmap * np.float32(255))
     np.testing.assert_allclose(stack, naive.cbml(levels, xy, thetas, 0.1) / 255, rtol=1e-6)
     exact = naive.cbml(bmap, xy, thetas, 0.1)
-    np.testing.assert_allclose(stack, exact, atol=13 * 0.5 / 255)
+    np.testing.assert_allclose(stack, exact, atol=12 * 0.5 / 255)
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.1, np.nan, np.inf])
+def test_cbml_refuses_a_bmap_that_is_not_one(value):
+    bmap = np.zeros((3, 3), dtype=np.float32)
+    bmap[1, 1] = value
+    with pytest.raises(ValueError, match=r"bmap must be in 0\.\.1"):
+        cbml(bmap, np.zeros((1, 2)), ONE, 0.1)
 
 
 @every_engine
@@ -147,6 +157,8 @@ def test_projections_are_reused():
     fresh = cbml_o(vmap, points, thetas, 0.1, **how)
     again = cbml_o(vmap, points, thetas, 0.1, **how, projections=projections)
     np.testing.assert_array_equal(fresh, again)
+    with pytest.raises(ValueError, match="projections must be"):
+        cbml_o(vmap, points, thetas, 0.1, directions=64, engine="shift", projections=projections)
 
 
 @every_engine
@@ -160,6 +172,24 @@ def test_cbml_o_reused_and_threaded(engine):
     for threads in (2, 5):
         threaded = cbml_o(vmap, points, thetas, 0.1, engine=engine, threads=threads)
         np.testing.assert_array_equal(threaded, full)
+
+
+@pytest.mark.parametrize("directions", [0, 7, -2])
+def test_refuses_directions(directions):
+    vmap, points = random_case(10)
+    with pytest.raises(ConfigError, match="directions"):
+        cbml_o(vmap, points, ONE, 0.1, directions=directions)
+    with pytest.raises(ConfigError, match="directions"):
+        project(vmap, directions)
+
+
+def test_refuses_a_vmap_that_is_not_one():
+    _, points = random_case(11)
+    with pytest.raises(ValueError, match=r"\(2, H, W\)"):
+        cbml_o(np.zeros((3, 4), np.float32), points, ONE, 0.1)
+    for value in (0.75, 1.2, np.nan):  # both components: 0.75 is a length of 1.06
+        with pytest.raises(ValueError, match="length"):
+            cbml_o(np.full((2, 3, 4), value, np.float32), points, ONE, 0.1)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 8, 9, 31, 257, 258, 259, 700])

@@ -33,11 +33,12 @@ def test_full_circle_equals_algorithm_2(engine, k):
 
 
 @every_engine
-def test_far_points_add_nothing(engine):
+def test_lost_and_far_points_add_nothing(engine):
     image, xy = random_case(3)
-    far, thetas = [[1e12, 0], [0.05, -1e300]], np.array([0.0, 1.0, np.pi])
+    lost = [[np.nan, 0], [np.inf, 0], [0, -np.inf], [np.nan, np.nan], [1e12, 0], [0.05, -1e300]]
+    thetas = np.array([0.0, 1.0, np.pi])
     np.testing.assert_array_equal(
-        correlate(image, np.concatenate((xy, far)), thetas, 0.1, engine=engine),
+        correlate(image, np.concatenate((xy, lost)), thetas, 0.1, engine=engine),
         correlate(image, xy, thetas, 0.1, engine=engine),
     )
 
@@ -146,6 +147,9 @@ def test_a_stack_of_bytes_holds_the_sums_that_fit(monkeypatch, engine, flat, pie
     assert correlate(image, xy, thetas, 0.1, engine=engine, where=where, out=out) is out
     np.testing.assert_array_equal(out, sums)
     assert sums.max() > 30
+    for bad, divisor in ((image + np.uint8(5), 1.0), (image, 2.0), (image / np.float32(9), 1.0)):
+        with pytest.raises(ValueError, match="do not fit"):
+            correlate(bad, xy, thetas, 0.1, engine=engine, out=out, divisor=divisor)
 
 
 @every_engine
@@ -201,6 +205,52 @@ def test_image_may_be_any_view():
             )
 
 
+@pytest.mark.parametrize(
+    "out",
+    [
+        np.empty((2, 7, 9), np.float32),
+        np.empty((1, 7, 10)),
+        np.empty((1, 7, 20), np.float32)[..., ::2],
+        np.frombuffer(bytes(280), np.float32).reshape(1, 7, 10),  # may not be written to
+    ],
+)
+def test_refuses_an_output_that_does_not_fit(out):
+    image, xy = random_case(13)
+    with pytest.raises(ValueError, match="out must be"):
+        correlate(image, xy, ONE, 0.1, out=out)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"engine": "fft"}, "auto, filter2d, shift, dft, remap, got 'fft'"),
+        ({"threads": 0}, "threads"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": np.nan}, "resolution"),
+    ],
+)
+def test_refuses_bad_parameters(change, words):
+    image, xy = random_case(14)
+    with pytest.raises(ConfigError, match=words):
+        correlate(**{"image": image, "xy": xy, "thetas": ONE, "resolution": 0.1, **change})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"image": np.zeros((3, 3))}, "uint8 or float32, got float64"),
+        ({"image": np.zeros((3, 3, 3), np.uint8)}, "H, W"),
+        ({"xy": np.zeros((5, 3))}, r"\(N, 2\)"),
+        ({"where": np.ones((3, 3), dtype=bool)}, "where"),
+        ({"where": np.ones((7, 10))}, "where"),
+    ],
+)
+def test_refuses_bad_arrays(change, words):
+    image, xy = random_case(15)
+    with pytest.raises(ValueError, match=words):
+        correlate(**{"image": image, "xy": xy, "thetas": ONE, "resolution": 0.1, **change})
+
+
 def test_cost_model():
     rng = np.random.default_rng(16)
     tiles = shift.tiles_of((400, 500))
@@ -234,9 +284,3 @@ def test_random_cases_equal_the_listing(seed, engine, height, width):
     thetas = np.random.default_rng(seed).uniform(-9, 9, 3)
     stack = correlate(image, xy, thetas, 0.1, engine=engine)
     np.testing.assert_array_equal(stack, naive.cbml(image, xy, thetas, 0.1))
-
-
-def test_refuses_an_unknown_engine():
-    image, xy = random_case(14)
-    with pytest.raises(ConfigError, match="auto, filter2d, shift, dft, remap, got 'fft'"):
-        correlate(image, xy, ONE, 0.1, engine="fft")

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.errors import ConfigError
 from imgloc.likelihoods.ght import BLOCK_COLUMNS, BLOCK_PAIRS, ght, ght_v
 from imgloc.model import OrientedPoints
 
@@ -116,11 +117,13 @@ def test_any_number_of_threads_gives_the_same_bits():
 
 
 def test_output_is_reused():
-    surface, points, _ = random_case(7)
+    surface, points, vis = random_case(7)
     out = np.full((4, 7, 10), np.nan, dtype=np.float32)
     fresh = ght(surface, points, 4, (7, 10), 0.1)
     assert ght(surface, points, 4, (7, 10), 0.1, out=out) is out
     np.testing.assert_array_equal(out, fresh)
+    with pytest.raises(ValueError, match="out must be"):
+        ght_v(surface, relative(vis, surface.alpha), points, 5, (7, 10), 0.1, out=out)
 
 
 def test_nobody_votes():
@@ -137,6 +140,23 @@ def test_points_far_away_do_not_wrap():
     wall = oriented([[0.5, 0.5], *far], np.zeros(5))
     scan = oriented([[0.0, 0.0], *far[:3], [1e308, 1e308], [0.0, 2.0**28]], np.arange(6.0))
     assert ght(wall, scan, 4, (3, 3), 1.0).sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("n_theta", "shape", "resolution", "threads"),
+    [(0, (3, 3), 0.1, 1), (4, (0, 3), 0.1, 1), (4, (3, 3), -0.1, 1), (4, (3, 3), 0.1, 0)],
+)
+def test_refuses_bad_parameters(n_theta, shape, resolution, threads):
+    surface, points, _ = random_case(9)
+    with pytest.raises(ConfigError, match="got"):
+        ght(surface, points, n_theta, shape, resolution, threads=threads)
+
+
+@pytest.mark.parametrize("shape", [(14,), (14, 24), (24, 13), (0, 14)])
+def test_refuses_a_visibility_that_does_not_fit(shape):
+    surface, points, _ = random_case(10)
+    with pytest.raises(ValueError, match=r"visibility must be \(n_psi, 14\)"):
+        ght_v(surface, np.ones(shape, dtype=np.float32), points, 4, (7, 10), 0.1)
 
 
 @settings(max_examples=40)

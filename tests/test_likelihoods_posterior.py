@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from imgloc.errors import ConfigError
 from imgloc.likelihoods.posterior import posterior
 from imgloc.options import LOG_METHODS, METHODS
 
@@ -71,6 +72,13 @@ def test_a_hot_posterior_still_counts_what_is_far_below():
     got = posterior(values, "beam", np.ones((1, 1), bool), temperature=15.0)[:, 0, 0]
     np.testing.assert_allclose(got[1] / got[0], math.exp(-10), rtol=1e-5)
     assert got[2] == 0
+
+
+@pytest.mark.parametrize("temperature", [0.0, -1.0, math.nan, math.inf])
+def test_a_temperature_is_positive_and_finite(temperature):
+    with pytest.raises(ConfigError, match="temperature"):
+        posterior(np.zeros((1, 1, 1), np.float32), "beam", np.ones((1, 1), bool),
+                  temperature=temperature)  # fmt: skip
 
 
 def test_log_likelihoods_may_be_of_any_size():

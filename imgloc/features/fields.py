@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of
@@ -22,7 +23,7 @@ def bmap(xy: FloatArray, shape: tuple[int, int], resolution: float, sigma: float
         Rows and columns of the result; side of a cell, metres.
     sigma : float
         Standard deviation of the Gaussian kernel K, metres: the sensor's, or more where the
-        map itself is uncertain. No greater than the map, or a ConfigError.
+        map itself is uncertain. Greater than 0 and no greater than the map, or a ConfigError.
 
     Returns
     -------
@@ -82,20 +83,38 @@ def vmap(
     return blurred / peak if peak > 0 else blurred
 
 
+def in_levels(bmap: Float32Array, hint: str = "") -> npt.NDArray[np.uint8]:
+    """Round a blurred map to its 256 levels; one that leaves 0..1 is a ValueError."""
+    levels = np.asarray(bmap, dtype=np.float32) * BMAP_LEVELS
+    # One comparison that NaN fails too.
+    if levels.size and not (levels.min() >= 0 and levels.max() <= BMAP_LEVELS * (1 + 1e-6)):
+        low, high = np.min(bmap), np.max(bmap)
+        raise ValueError(f"bmap must be in 0..1, got {low:g} to {high:g}{hint}")
+    return np.rint(levels).astype(np.uint8)
+
+
 def _cells(
     xy: FloatArray, shape: tuple[int, int], resolution: float
 ) -> tuple[IntArray, IntArray, BoolArray]:
     """Row and column of the points on the grid, and which of the points those are."""
-    cells = cell_of(np.asarray(xy, np.float64), resolution)
+    if min(shape) < 1:
+        raise ConfigError(f"shape must be (rows, columns), both positive, got {shape}")
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be positive and finite, got {resolution}")
+    cells = cell_of(np.asarray(xy, np.float64).reshape(-1, 2), resolution)
     on_grid: BoolArray = np.all((cells >= 0) & (cells < shape), axis=1)
     return cells[on_grid, 0], cells[on_grid, 1], on_grid
 
 
 def _blur(image: Float32Array, sigma: float, resolution: float) -> Float32Array:
     """Convolve with a Gaussian of `sigma` metres; beyond the border there is nothing."""
-    # cv2 takes minutes for a kernel much wider than the image.
-    if sigma > (widest := max(image.shape) * resolution):
-        raise ConfigError(f"sigma: got {sigma}, expected at most the map's side, {widest:g} m")
+    # cv2 raises on 0 and NaN and takes minutes for a kernel much wider than the image.
+    widest = max(image.shape) * resolution
+    if not 0 < sigma <= widest:
+        raise ConfigError(
+            f"sigma must be greater than 0 and at most the map's longest side, "
+            f"{widest:g} m, got {sigma}"
+        )
     off = cv2.BORDER_CONSTANT
     out = cv2.GaussianBlur(image, (0, 0), sigma / resolution, borderType=off)
     return np.asarray(out, np.float32)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from skimage import measure
 
+from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array
 
 SOURCES = ("contours", "image")
@@ -30,7 +31,7 @@ def vmap_of_image(
         Cells that are walls, cells that are free, row 0 lowest; side of a cell, metres.
     sigma : float
         Standard deviation of the Gaussian kernel K, metres; at least that of the Gaussian before
-        the gradient, one cell, has an effect.
+        the gradient, one cell, has an effect. Like `resolution` positive, or a ConfigError.
     factor : int
         Cells along a cell of the result.
 
@@ -50,6 +51,8 @@ def vmap_of_image(
     >>> (100 * x[4]).round().astype(int).tolist()
     [0, 100, 100, 46, 9, 1, -1, -9, -46, -100, -100, 0]
     """
+    if not (0 < sigma < np.inf and 0 < resolution < np.inf):
+        raise ConfigError(f"sigma {sigma} and resolution {resolution} must be positive and finite")
     wall = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), _EDGE, borderType=_CELLS)
     # Out of the wall: down the occupancy.
     gx, gy = (

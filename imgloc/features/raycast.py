@@ -7,6 +7,7 @@ cell border to cell border: exact, a reading ends where it enters the square of 
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.model import Float32Array
 
 # A ray that stops on a cell border belongs to the cell behind it: it is pushed this far over
@@ -39,13 +40,18 @@ def cast_rays(
         Where they go, radians in the grid frame. `origins` and `angles` broadcast: poses
         ``(N, 1, 2)`` and angles ``(N, B)`` make N scans of B rays.
     max_range, resolution : float or (...) array, float
-        Metres, finite: what lies farther is not seen (short reaches cost less); side of a cell.
+        Metres: what lies farther is not seen (short reaches cost less); side of a cell.
 
     Returns
     -------
     (...) float32 array
         Metres to the border of the first occupied cell, within 1/128 of a cell; 0 from within one;
         inf for a ray that meets none within `max_range`, starts off the map, or leaves it.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        If a `max_range` or `resolution` is not positive and finite; if a ray is not finite.
 
     Examples
     --------
@@ -56,6 +62,8 @@ def cast_rays(
     [0.44999998807907104, inf]
     """
     psi = np.asarray(angles, np.float64)
+    if not np.isfinite(psi).all():
+        raise ValueError("origins and angles must be finite")
     return cast_along(distance, origins, np.cos(psi), np.sin(psi), max_range, resolution)
 
 
@@ -78,7 +86,17 @@ def cast_along(
     >>> cast_along(wall, [0.15, 0.05], [1.0, 0.0], [0.0, 1.0], 5.0, 0.1).round(2).tolist()
     [0.44999998807907104, inf]
     """
-    start, lengths = (np.asarray(v, np.float64) / resolution for v in (origins, max_range))
+    lengths = np.asarray(max_range, dtype=np.float64)
+    bad = lengths[~(np.isfinite(lengths) & (lengths > 0))]
+    if bad.size or not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(
+            f"max_range {bad[0] if bad.size else max_range} and resolution {resolution} "
+            "must be positive and finite"
+        )
+    start = np.asarray(origins, dtype=np.float64)
+    if not np.isfinite(start).all():
+        raise ValueError("origins and angles must be finite")
+    start, lengths = start / resolution, lengths / resolution
     each = np.broadcast_arrays(start[..., 0], start[..., 1], cosines, sines, lengths)
     x, y, u, v, reach = (part.astype(np.float32).ravel() for part in each)
     cells = _march(distance, np.stack((x, y)), np.stack((u, v)), reach)

@@ -57,7 +57,7 @@ def ray_distances(
     Raises
     ------
     ConfigError
-        If the map is too large to be rotated.
+        If a number or the size of the map is out of its range.
 
     Notes
     -----
@@ -70,8 +70,18 @@ def ray_distances(
     >>> ray_distances(row, 0.1, 2, 5.0)[:, 0].tolist()
     [[0, 25, 15, 5, 0], [0, 5, 15, 25, 0]]
     """
+    occupied = np.asarray(occupied, np.bool_)
+    if occupied.ndim != 2 or occupied.size == 0:
+        raise ConfigError(f"occupied must be an image, got an array of shape {occupied.shape}")
     if np.hypot(*occupied.shape) >= np.iinfo(np.int16).max:  # the limit of warpAffine
         raise ConfigError(f"a map of {occupied.shape} is too large to be rotated")
+    if n_psi < 1 or factor < 1:
+        raise ConfigError(f"n_psi and factor must be at least 1, got {n_psi} and {factor}")
+    if not 0 < max_range <= LONGEST:
+        raise ConfigError(f"max_range must be in (0, {LONGEST}] m, got {max_range}")
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be positive and finite, got {resolution}")
+
     solid = np.asarray(measure.block_reduce(occupied, factor, np.all))
     stack = np.empty((n_psi, *solid.shape), np.uint16)
     image = watertight(occupied)

@@ -40,6 +40,11 @@ def scan_points(ranges: FloatArray, angles: FloatArray, valid: BoolArray) -> Ori
         In the sensor frame, one per valid reading, in their order. Points with fewer than three
         neighbours on their surface are not `valid`, alpha is NaN, sigma_alpha inf: endpoints still.
 
+    Raises
+    ------
+    ValueError
+        If the arrays differ in length.
+
     Notes
     -----
     The window is broken at depth jumps. Where it is not straight within the noise, the windows that
@@ -55,6 +60,14 @@ def scan_points(ranges: FloatArray, angles: FloatArray, valid: BoolArray) -> Ori
     >>> np.cos(points.alpha).round(6).tolist(), points.valid.all()
     ([-1.0, -1.0, -1.0, -1.0, -1.0], np.True_)
     """
+    ranges, angles = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
+    valid = np.asarray(valid, np.bool_)
+    if not (ranges.shape == angles.shape == valid.shape == (len(ranges),)):
+        raise ValueError(
+            f"ranges {ranges.shape}, angles {angles.shape} and valid {valid.shape} "
+            "must be vectors of one length"
+        )
+
     rho, phi = ranges[valid], wrap(angles[valid])
     xy = np.column_stack((rho * np.cos(phi), rho * np.sin(phi)))  # p_i of Fig. 3
     if (n := len(rho)) == 0:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.geometry import theta_bin
+from imgloc.geometry import theta_bin, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.numbers import number
 from imgloc.options import EvidenceModel
@@ -65,7 +65,7 @@ def beam(
     Raises
     ------
     ConfigError
-        If n_psi is no multiple of K.
+        If an array has a wrong shape or a parameter is out of its range.
 
     Notes
     -----
@@ -85,12 +85,23 @@ def beam(
     >>> L.argmax(axis=2)[:, 0].tolist()
     [2, 3]
     """
+    distances = np.asarray(distances)
+    rho, phi = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
+    _check(distances, thetas, {"ranges": rho, "angles": phi, "valid": valid})
     n_psi, k = len(distances), len(thetas)
-    if n_psi % k:
-        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
+    if threads < 1:
+        raise ConfigError(f"threads must be at least 1, got {threads}")
+    if not (sigma > 0 and sigma_theta >= 0 and span > 0):
+        raise ConfigError(
+            f"sigma {sigma} and span {span} must be positive, "
+            f"sigma_theta {sigma_theta} not negative"
+        )
+    if not (hit >= 0 and short >= 0 and hit + short < 1):
+        raise ConfigError(f"hit {hit} and short {short} must be shares with a sum below 1")
+
     floors = (1 - hit - short) / span, (1 - hit) / span
     beams = []
-    for r, a in zip(ranges[valid], angles[valid], strict=True):
+    for r, a in zip(rho[valid], phi[valid], strict=True):
         deviation = float(np.hypot(sigma, r * sigma_theta))
         beams.append((int(theta_bin(a, n_psi)), *_hit_table(r, deviation, hit, floors)))
 
@@ -115,6 +126,26 @@ def beam(
     tops = range(0, distances.shape[1], rows)
     over_slices(work, [(index, top) for index in range(k) for top in tops], threads)
     return out
+
+
+def _check(
+    distances: npt.NDArray[np.uint16],
+    thetas: FloatArray,
+    readings: dict[str, FloatArray | BoolArray],
+) -> None:
+    """Refuse distances, headings and readings whose shapes do not go together."""
+    if distances.ndim != 3 or distances.dtype != np.uint16:
+        found = f"{distances.shape} {distances.dtype}"
+        raise ConfigError(f"distances must be a (n_psi, H, W) uint16 stack, got {found}")
+    n_psi, k = len(distances), len(thetas)
+    if k < 1 or n_psi % k:
+        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
+    if not np.allclose(wrap(thetas - np.arange(k) * (2 * np.pi / k)), 0, atol=1e-9):
+        raise ConfigError("thetas must be 2 pi k / K for k = 0 .. K - 1")
+    shapes = {name: np.shape(values) for name, values in readings.items()}
+    if len({*shapes.values()}) > 1 or len(shapes["ranges"]) != 1:
+        found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise ConfigError(f"{found} must be vectors of one length")
 
 
 def heading_sigma(n_thetas: int) -> float:

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.features.fields import BMAP_LEVELS
+from imgloc.errors import ConfigError
+from imgloc.features.fields import BMAP_LEVELS, in_levels
 from imgloc.likelihoods.correlate import WEIGHTED, choose_engine, correlate
 from imgloc.likelihoods.kernels import remap_stack
 from imgloc.likelihoods.shift import Summable, merge_repeats, shift_stack, tiles_of
-from imgloc.likelihoods.slices import cell_offsets, finishing, output_stack
+from imgloc.likelihoods.slices import cell_offsets, check_arguments, finishing, output_stack
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
 # Projections are in -VMAP_LEVELS..VMAP_LEVELS: sums of 258 readings fit into int16.
@@ -47,8 +48,9 @@ def cbml(
 
     Raises
     ------
-    ConfigError
-        If `engine` is unknown.
+    ConfigError, ValueError
+        If `engine`, `threads` or `resolution` is out of its range; if an array does not fit, or
+        `bmap` leaves 0..1.
 
     Examples
     --------
@@ -59,7 +61,7 @@ def cbml(
            [0., 2., 0.],
            [0., 1., 0.]], dtype=float32)
     """
-    image = np.rint(bmap * np.float32(BMAP_LEVELS)).astype(np.uint8)
+    image = in_levels(bmap, "; see imgloc.features.fields.bmap")
     return correlate(
         image, points_xy, thetas, resolution, divisor=BMAP_LEVELS,
         engine=engine, threads=threads, out=out,
@@ -108,8 +110,9 @@ def cbml_o(
 
     Raises
     ------
-    ConfigError
-        If `engine` is unknown.
+    ConfigError, ValueError
+        If `engine`, `threads`, `resolution` or `directions` is out of its range; if an array does
+        not fit, or a vector is longer than 1.
 
     Examples
     --------
@@ -121,13 +124,19 @@ def cbml_o(
     >>> cbml_o(vmap, scan, np.zeros(1), 1.0)[0].round(2).tolist()
     [[0.0, 1.0, 0.0]]
     """
-    field = np.asarray(vmap, dtype=np.float32)
+    field = checked_field(vmap, directions)
+    check_arguments(resolution, threads)
     usable = points.select(
         points.valid & np.isfinite(points.xy).all(axis=1) & np.isfinite(points.alpha)
     )
     headings = np.asarray(thetas, dtype=np.float64)
     half, shape = directions // 2, (int(field.shape[1]), int(field.shape[2]))
     out = output_stack(out, (len(headings), *shape))
+    expected = (half, *shape)
+    if projections is not None and projections.shape != expected:
+        raise ValueError(f"projections must be {expected}, got {projections.shape}")
+    if out.size == 0:
+        return out
 
     def facing(turn: FloatArray | float) -> tuple[IntArray, IntArray]:
         """Direction of each normal, and its projection: k >= 0 to add, -1 - k to subtract."""
@@ -178,7 +187,7 @@ def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
     >>> project(vmap, 8).ravel().tolist()
     [127, 90, 0, -90]
     """
-    field = np.asarray(vmap, dtype=np.float32)
+    field = checked_field(vmap, directions)
     out = np.empty((directions // 2, *field.shape[1:]), dtype=np.int16)
     for image, (c, s) in zip(out, unit_vectors(directions), strict=False):
         np.rint(VMAP_LEVELS * (field[0] * c + field[1] * s), out=image, casting="unsafe")
@@ -189,3 +198,16 @@ def unit_vectors(directions: int) -> Float32Array:
     """Cosine and sine of each direction, (directions, 2) float32."""
     a = np.arange(directions) * (2 * np.pi / directions)
     return np.stack((np.cos(a), np.sin(a)), axis=1).astype(np.float32)
+
+
+def checked_field(vmap: Float32Array, directions: int) -> Float32Array:
+    """Return `vmap` as float32, a pair of images of magnitude 0..1, if `directions` is even."""
+    field = np.asarray(vmap, dtype=np.float32)
+    if field.ndim != 3 or field.shape[0] != 2:
+        raise ValueError(f"vmap must have shape (2, H, W), got {field.shape}")
+    longest = np.sqrt(np.max(field[0] ** 2 + field[1] ** 2, initial=0.0))
+    if not longest <= 1 + 1e-5:
+        raise ValueError(f"vmap must have vectors of length 0..1, got {longest:g}")
+    if directions < 2 or directions % 2:
+        raise ConfigError(f"directions must be an even number of at least 2, got {directions}")
+    return field

@@ -25,7 +25,9 @@ from imgloc.likelihoods.shift import (
 from imgloc.likelihoods.slices import (
     Stack,
     cell_offsets,
+    check_arguments,
     finishing,
+    finite_points,
     frame_of,
 )
 from imgloc.likelihoods.spectral import needs_double, spectral_stack
@@ -71,7 +73,7 @@ def correlate(
         Row 0 is the lowest y. The engines of :data:`EXACT` sum integers exactly. On floats they
         agree up to rounding.
     xy : (N, 2) float array
-        Scan points, sensor frame, metres, finite.
+        Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
         Headings, radians.
     resolution : float
@@ -90,8 +92,8 @@ def correlate(
 
     Raises
     ------
-    ConfigError
-        If `engine` is unknown.
+    ConfigError, ValueError
+        If `engine`, `threads` or `resolution` is out of its range; if an array does not fit.
 
     Examples
     --------
@@ -103,10 +105,17 @@ def correlate(
     >>> [tuple(map(int, pose)) for pose in np.argwhere(stack)]
     [(0, 1, 0), (1, 0, 1)]
     """
-    points, headings = np.asarray(xy, np.float64), np.asarray(thetas, np.float64)
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.float32):
+        raise ValueError(
+            f"image must be (H, W) uint8 or float32, got {image.dtype} of shape {image.shape}"
+        )
+    check_arguments(resolution, threads)
+    points, headings = finite_points(xy), np.asarray(thetas, dtype=np.float64)
     frame = frame_of(image != 0, len(headings), where, out)
     view, image = frame.view, image[frame.window]
     bytes_fit = image.dtype == np.uint8 and len(points) * int(image.max(initial=0)) <= 255
+    if view.dtype == np.uint8 and not (bytes_fit and divisor == 1):
+        raise ValueError("the sums do not fit out, an array of bytes")
     if view.size == 0:
         return frame.out
     shape = (int(image.shape[0]), int(image.shape[1]))

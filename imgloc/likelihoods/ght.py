@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin
-from imgloc.likelihoods.slices import output_stack
+from imgloc.likelihoods.slices import check_arguments, output_stack
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 from imgloc.threads import over_slices
 
@@ -39,7 +40,7 @@ def ght(
 ) -> Float32Array:
     """Count the pairs of points that each pose brings together: GHT, Alg. 4.
 
-    All pairs vote. Parameters and result are those of :func:`ght_v`.
+    All pairs vote. Parameters, result and errors are those of :func:`ght_v`.
 
     Examples
     --------
@@ -100,6 +101,11 @@ def ght_v(
     (K, H, W) float32 array
         Votes ``L[theta, y, x]``, whole numbers. Votes off the lattice do not count.
 
+    Raises
+    ------
+    ConfigError, ValueError
+        If a number is out of its range; if an array does not fit.
+
     Examples
     --------
     The same wall behind a pane one metre in front of it: the pose two metres off is not seen.
@@ -110,7 +116,18 @@ def ght_v(
     >>> float(ght_v(wall, pane, scan, 4, (1, 3), 1.0).sum())
     0.0
     """
-    votes = output_stack(out, (n_theta, *shape))
+    check_arguments(resolution, threads)
+    lattice = (n_theta, *shape)
+    if min(lattice) < 1:
+        raise ConfigError(f"the lattice of votes must not be empty, got {lattice}")
+    if visibility is not None:
+        visibility = np.asarray(visibility, dtype=np.float32)
+        if visibility.ndim != 2 or not len(visibility) or visibility.shape[1] != len(surface):
+            raise ValueError(
+                f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
+                f"got {visibility.shape}"
+            )
+    votes = output_stack(out, lattice)
     votes.fill(0)
     pairs = pair_up(surface, visibility, points, n_theta, resolution)
     blocks = blocks_of(len(pairs.w), len(pairs.x), once)

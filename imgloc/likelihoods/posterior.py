@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array, Likelihood
 from imgloc.options import DEFAULTS, LOG_METHODS, Calibration
 
@@ -86,12 +87,19 @@ def posterior(
     (K, H, W) float32 array
         Sums to 1; all 0 if no free pose has a positive likelihood.
 
+    Raises
+    ------
+    ConfigError
+        If `temperature` is not positive and finite.
+
     Examples
     --------
     >>> stack = np.array([[[1, 3, -2, 9]]], dtype=np.float32)
     >>> posterior(stack, "cbml", np.array([[True, True, True, False]])).ravel().tolist()
     [0.25, 0.75, 0.0, 0.0]
     """
+    if not 0 < temperature < np.inf:
+        raise ConfigError(f"temperature must be positive and finite, got {temperature}")
     log = method in LOG_METHODS
     out = np.zeros(values.shape, dtype=np.float32)
     if out.size == 0 or not free.any():

@@ -1,11 +1,12 @@
 """Parts of every engine: offsets in cells, and the stack to fill."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, FloatArray, IntArray
 
 #: A stack (K, H, W), or a slice of one: float32, or uint8 where every sum fits a byte.
@@ -46,6 +47,14 @@ def reach_of(offsets: IntArray, shape: tuple[int, ...]) -> tuple[BoolArray, tupl
     return near, (int(reach[0]), int(reach[1]))
 
 
+def check_arguments(resolution: float, threads: int) -> None:
+    """Raise a ConfigError if the resolution is not positive and finite, or `threads` is below 1."""
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be a positive number of metres, got {resolution}")
+    if threads < 1:
+        raise ConfigError(f"threads must be at least 1, got {threads}")
+
+
 class Frame(NamedTuple):
     """The part of a stack that is to be computed."""
 
@@ -58,7 +67,8 @@ class Frame(NamedTuple):
 def frame_of(marked: BoolArray, headings: int, where: BoolArray | None, out: Stack | None) -> Frame:
     """Cut a stack down to the wanted poses (`where`) that can meet a `marked` cell.
 
-    Maps often have a wide unknown border. The mask and the stack fit the (H, W) of `marked`.
+    Maps often have a wide unknown border. A mask or a stack that does not fit the (H, W) of
+    `marked` raises a ValueError.
 
     Examples
     --------
@@ -67,8 +77,10 @@ def frame_of(marked: BoolArray, headings: int, where: BoolArray | None, out: Sta
     >>> frame_of(np.zeros((4, 5), dtype=bool), 1, where, None).window
     (slice(1, 2, None), slice(1, 3, None))
     """
-    height, width = marked.shape
-    out = output_stack(out, (headings, height, width))
+    height, width = shape = marked.shape
+    if where is not None and (where.shape != shape or where.dtype != np.bool_):
+        raise ValueError(f"where must be bool {shape}, got {where.dtype} {where.shape}")
+    out = output_stack(out, (headings, height, width), (np.float32, np.uint8))
     if where is None:
         return Frame(out, out, (slice(0, height), slice(0, width)), None)
     window = box_of(where | marked)
@@ -86,13 +98,25 @@ def box_of(mask: BoolArray) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def output_stack(out: Stack | None, shape: tuple[int, int, int]) -> Stack:
+def output_stack(
+    out: Stack | None, shape: tuple[int, int, int], kinds: Sequence[npt.DTypeLike] = (np.float32,)
+) -> Stack:
     """Return `out`, or a new uninitialised float32 stack of this shape if it is None.
 
     Reusing a stack saves the page faults of a new one, which cost as much as an engine for tens of
-    megabytes.
+    megabytes. An `out` that does not fit raises a ValueError.
     """
-    return np.empty(shape, dtype=np.float32) if out is None else out
+    if out is None:
+        return np.empty(shape, dtype=np.float32)
+    if out.shape != shape or out.dtype not in kinds or not out.flags.c_contiguous:
+        names = " or ".join(np.dtype(kind).name for kind in kinds)
+        raise ValueError(
+            f"out must be a C-contiguous {names} array of shape {shape}, "
+            f"got {out.dtype} of shape {out.shape}"
+        )
+    if not out.flags.writeable:
+        raise ValueError("out must be writable")
+    return out
 
 
 #: A last step on a slice (H, W) of a stack, in place, while the slice is in the cache.
@@ -123,3 +147,11 @@ def finishing(
             np.multiply(image, mask, out=image)
 
     return finish
+
+
+def finite_points(xy: npt.ArrayLike) -> FloatArray:
+    """Return the points of (N, 2) that are finite, because a lost reading casts no vote."""
+    points = np.asarray(xy, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"points must have shape (N, 2), got {points.shape}")
+    return np.asarray(points[np.isfinite(points).all(axis=1)])

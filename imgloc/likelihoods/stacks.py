@@ -111,8 +111,8 @@ def stack_of(
 
     `thetas` (K,) are headings in radians, uniform over the circle from 0. `engine` computes the
     correlations: "auto", "filter2d", "shift", "dft" or "remap". The result does not depend on
-    `threads`. A ConfigError is raised if the ray distances of ``beam`` take more bytes than
-    `memory_budget`, by default that of the map.
+    `threads`. A ConfigError is raised for a method without a stack, and if the ray distances of
+    ``beam`` take more bytes than `memory_budget`, by default that of the map.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
@@ -129,4 +129,6 @@ def stack_of(
         return cbml_o(f.vmap, points, thetas, cell, engine=engine, threads=threads)
     if method == "ght":
         return ght(f.surface, points, len(thetas), shape, cell, threads=threads)
-    return ght_v(f.surface, f.visibility, points, len(thetas), shape, cell, threads=threads)
+    if method == "ght-v":
+        return ght_v(f.surface, f.visibility, points, len(thetas), shape, cell, threads=threads)
+    raise ConfigError(f"{method!r} has no stack")

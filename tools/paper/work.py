@@ -8,7 +8,7 @@ import numpy as np
 
 from imgloc.features.raydistance import canvas_size
 from imgloc.likelihoods.ght import pair_up
-from imgloc.likelihoods.slices import cell_offsets
+from imgloc.likelihoods.slices import cell_offsets, finite_points
 from imgloc.model import Float32Array, FloatArray, OrientedPoints
 
 
@@ -26,7 +26,7 @@ def pixels_added(
     13
     """
     height, width = shape
-    reach = np.abs(cell_offsets(xy, thetas, resolution))
+    reach = np.abs(cell_offsets(finite_points(xy), thetas, resolution))
     rows, columns = np.maximum(0, height - reach[..., 0]), np.maximum(0, width - reach[..., 1])
     return int((rows * columns).sum())
 
