@@ -119,7 +119,8 @@ def score_poses(
     fits = some & (told.pieces > np.maximum(own, sizes * (model.best - _FITS)))
     passing = (crossing >= _RUN[1]) & (2 * crossing > sizes)
     things = _whole(told, own, goes_on, model) - _PRICE * _within(features, poses)
-    straight = goes_on & ~turning(readings.xy[order], parts)
+    # Of bent walls each piece is off by itself.
+    straight = goes_on & ~turning(readings.xy[order], parts) & (not model.bent)
     return Scores(
         told.total, things, told.silence, walls(fits, straight), walls(passing, straight),
         some & (told.pieces < own), passing, on_surface, crossed,

@@ -221,7 +221,7 @@ def test_a_log_with_odometry_is_followed_and_so_scans_count_that_see_little(logs
     save_scans("alone.npz", ScanSet(tuple(scans)))
     alone, along = aged("alone.npz"), aged("way.npz")
     assert alone["given"] == along["given"] == 20
-    assert along["scans"] > alone["scans"] + 2
+    assert along["scans"] > alone["scans"]
     assert along["gone_m"] > 0.9
     assert aged("way.npz", "way.npz") == along
 

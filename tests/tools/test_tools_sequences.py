@@ -158,4 +158,4 @@ def test_old_maps_have_a_row_for_the_true_start_and_one_for_starts_from_anywhere
     assert head == f"| {old_maps.HEAD} |"
     assert true.split(" | ")[1:3] == ["true", "1.00"]
     assert anywhere.split(" | ")[1] == "2 from anywhere"
-    assert anywhere.endswith("| 0 of 0 |")  # no run is 30 m long
+    assert anywhere.split(" | ")[5] == "0 of 0"  # no run is 30 m long
