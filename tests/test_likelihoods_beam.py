@@ -125,35 +125,28 @@ def test_the_deviation_of_a_heading_shrinks_with_their_step():
     assert heading_sigma(36) == pytest.approx(10 * heading_sigma(360))
 
 
+STACK, HEADINGS = np.zeros((4, 3, 3), np.uint16), uniform_thetas(np.pi / 2)
+
+
 @pytest.mark.parametrize(
-    "kwargs",
+    ("name", "values"),
     [
-        {"sigma": 0.0},
-        {"threads": 0},
-        {"threads": -1},
-        {"sigma": float("nan")},
-        {"sigma_theta": -0.1},
-        {"span": 0.0},
-        {"hit": 0.9, "short": 0.1},
-        {"hit": -0.1},
-        {"distances": np.zeros((4, 3, 3))},
-        {"distances": np.zeros((4, 3), np.uint16)},
-        {"distances": np.zeros((6, 3, 3), np.uint16)},  # not a multiple of the four headings
-        {"thetas": NONE},
-        {"thetas": np.array([0.0, 1.0, 2.0, 3.0])},
-        {"thetas": uniform_thetas(np.pi / 2) + 0.1},
-        {"angles": NONE},
-        {"valid": NONE.astype(bool)},
+        ("sigma", (0.0, np.nan)),
+        ("sigma_theta", (-0.1,)),
+        ("span", (0.0,)),
+        ("threads", (0, -1)),
+        ("hit", (1.0, -0.1)),
+        # Not a stack of uint16; its six directions are no multiple of the four headings.
+        ("distances", (1.0 * STACK, STACK[0], np.zeros((6, 3, 3), np.uint16))),
+        ("thetas", (NONE, np.arange(4.0), HEADINGS + 0.1)),
+        ("angles", (NONE,)),
+        ("valid", (NONE.astype(bool),)),
     ],
 )
-def test_wrong_parameters(kwargs):
-    good = {
-        "distances": np.zeros((4, 3, 3), np.uint16),
-        "ranges": np.ones(2),
-        "angles": np.zeros(2),
-        "valid": np.ones(2, bool),
-        "thetas": uniform_thetas(np.pi / 2),
-    }
+def test_wrong_parameters(name, values):
+    readings = {"ranges": np.ones(2), "angles": np.zeros(2), "valid": np.ones(2, bool)}
+    good = {"distances": STACK, "thetas": HEADINGS, **readings}
     beam(**good)
-    with pytest.raises(ConfigError):
-        beam(**{**good, **kwargs})
+    for value in values:
+        with pytest.raises(ConfigError):
+            beam(**{**good, name: value})
