@@ -174,19 +174,16 @@ def test_readings_beyond_uint16_saturate():
 
 
 @pytest.mark.parametrize(
-    "kwargs",
+    ("name", "values"),
     [
-        {"n_psi": 0},
-        {"max_range": 0.0},
-        {"max_range": 700.0},
-        {"max_range": float("nan")},
-        {"resolution": 0.0},
-        {"occupied": np.zeros((0, 4), bool)},
-        {"occupied": np.zeros(4, bool)},
-        {"occupied": np.zeros((2, 32767), bool)},
+        ("n_psi", (0,)),
+        ("max_range", (0.0, 700.0, np.nan)),
+        ("resolution", (0.0,)),
+        ("occupied", [np.zeros(shape, bool) for shape in ((0, 4), 4, (2, 32767))]),
     ],
 )
-def test_wrong_parameters(kwargs):
-    given_ = {"occupied": np.zeros((4, 4), bool), "resolution": 0.1, "n_psi": 4, "max_range": 9.0}
-    with pytest.raises(ConfigError):
-        ray_distances(**{**given_, **kwargs})
+def test_wrong_parameters(name, values):
+    good = {"occupied": np.zeros((4, 4), bool), "resolution": 0.1, "n_psi": 4, "max_range": 9.0}
+    for value in values:
+        with pytest.raises(ConfigError):
+            ray_distances(**{**good, name: value})

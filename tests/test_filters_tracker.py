@@ -393,10 +393,9 @@ def test_scales_that_scatter_are_none() -> None:
 
 
 def test_walls_that_are_drawn_too_thick_are_no_scale() -> None:
-    grid = dilated(load_map(WORLD), np.random.default_rng(0), 2)
-    truth, features = Pose2D(*log().poses[0]), prepare(grid)
+    features = prepare(dilated(load_map(WORLD), np.random.default_rng(0), 2))
     tracker = make_filter("tracker", features, Options())
-    moments = list(follow(features, log(), tracker, start=truth))
+    moments = list(follow(features, log(), tracker, start=Pose2D(*log().poses[0])))
     assert tracker.options.shared == Shared(thinner=2)
     assert errors(moments, log())[-1] < 0.05
 
