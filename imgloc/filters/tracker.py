@@ -422,9 +422,8 @@ class Tracker:
         due = strange or self._unsearched >= self._pause
         found = self._search(used, view, due=due, strange=strange, at_once=driven >= how.later)
         # Scans that are searched close to each other tell the same about the walls.
-        asked = due and len(found.poses) > 0 and not self._proven
+        asked = due and len(found.poses) > 0 and not self._leads and not self._proven
         if asked and self._judge_shared(view, found.poses):
-            self._begin_again()
             found = self._search(used, view, due=True, strange=True)
             known = len(self._poses)
         near = settled(self.features, view, self._poses, self._covariance)
@@ -484,8 +483,7 @@ class Tracker:
             self._since = 0.0
         if len(self._mass):
             laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
-            alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
-            if alone and not asked and (self._proven or self._begun is not None):
+            if self._leads and not asked:
                 self._judge_shared(view, self._poses[:1])
 
     def _search(
@@ -518,11 +516,17 @@ class Tracker:
         return Places(settled(self.features, view, found.poses), found.spread)
 
     @property
-    def _proven(self) -> bool:
-        """True if walls were good for so long that they are not bent: one place is asked of them.
+    def _leads(self) -> bool:
+        """True if one component holds all mass but that of being lost: its place is asked.
 
-        Before, the places of a search are, because the robot may be at another one.
+        Else the places of a search are.
         """
+        least, most = self.how.mass[self.options.shared.bent > 0], self._mass.max(initial=0.0)
+        return bool(self._lost < 0.5 and most > 0 and most >= least * self._mass.sum())
+
+    @property
+    def _proven(self) -> bool:
+        """True if walls were good for so long that they are not bent."""
         return self._trusted >= self.how.walls[1]
 
     def _judge_shared(self, view: View, poses: FloatArray) -> bool:
@@ -547,18 +551,18 @@ class Tracker:
         if len(self._told) < self.how.walls[0]:
             return False
         now = replace(shared, straight=shared.straight or self._proven)
-        found = judged(self._told, now, self._given, image_gain(self._drawn))
-        # At wrong places scans fit with any scale.
-        known = self._proven or self._begun is not None
-        scale = found.scale if known else shared.scale
-        found = replace(found, scale=scale, straight=shared.straight)
+        image, placed = image_gain(self._drawn), self._leads
+        found = judged(self._told, now, self._given, image, placed=placed)
+        found = replace(found, straight=shared.straight)
         far = abs(np.log(found.scale / self._given)) >= np.log(options.fused.most_scaled)
         return found != shared and not far and self._share(found)
 
     def _share(self, shared: Shared) -> bool:
         """Allow for an error from now on."""
+        before, self.options = self.options.shared, self._with(shared, self.options)
         self.features = self._drawn.thinner(shared.thinner)
-        self.options = self._with(shared, self.options)
+        if not self._proven and (shared.thinner, shared.bent) != (before.thinner, before.bent):
+            self._begin_again()
         self._find, self._told = None, []  # what replaces the search knows the old walls
         return True
 

@@ -93,6 +93,8 @@ _POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./]
 _AXES = "position/x", "position/y", "orientation/z", "orientation/w"
 _CLOCKWISE = "a quality beside angles is an RPLIDAR's, which counts them clockwise: `flipped=True`"
 _POINTS = " are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y)"
+# A quoted cell before others that are not.
+_QUOTED = re.compile(r'"[^"]*"[^"]+$')
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
 Role = tuple[str, int, float]  #: of a column, see :func:`role_of`
 
@@ -146,6 +148,9 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         names = [cell.strip("\"'").lower() for cell in body.pop(0)[1]]
         if {len(row) - len(names) for _, row in body} == {1}:  # as R and pandas write them
             names.insert(0, "index")
+    elif all(_QUOTED.match(text) for _, text in below):  # names of rows, as R writes them
+        body = [(where, row[1:]) for where, row in body]
+        names = []
     elif (head := _head(name, body, settings, fov)) is not None:
         names = head
     elif len(names) != len(first) or any(map(is_number, names)):

@@ -9,7 +9,10 @@ Line = tuple[str, str]  #: where a line stands, and its text
 
 _RULE = re.compile(r"[-+|:=\s]*--[-+|:=\s]*|[(\[]\d+ rows?\b.*|\w+ *=")
 # MATLAB and Octave have a line before rows that go on, R has a number in front.
-_BLOCK = re.compile(r"Columns? (\d+)\b.*|\[(\d+)\](?=[-+.\seE\dInfaNA]+$)")
+_BLOCK = re.compile(
+    r"Columns? (\d+)(?: (?:through|to|and) \d+)?:? *$|\[(\d+)\](?=[-+.\seE\dInfaNA]+$)"
+)
+_ARRAY = re.compile(r"(?i)\w+ *= *(\[|(np\.)?array|$)")
 _FACTOR = re.compile(r"\d\.0*e[-+]\d+ *\*", re.IGNORECASE)
 _LEFT_OUT = re.compile(r"(?<![^\s,\[|])\.{2,3}(?![^\s,\]|])")
 _BRACKETS = re.compile(
@@ -36,15 +39,20 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
             raise ScanError(f"{where}: it was printed shortened, with dots for numbers: {_WHOLE}")
         if _FACTOR.fullmatch(text):
             raise ScanError(f"{where}: it was printed with four digits and a factor: {_WHOLE}")
+    arrays = [where for where, text in lines if _ARRAY.match(text)]
+    if len(arrays) > 1:
+        raise ScanError(f"{arrays[1]}: a second array, expected the ranges alone: {_WHOLE}")
     lines = [line for line in lines if not _RULE.fullmatch(line[1])]
-    if len(lines) > 1 and all(text[:1] == text[-1:] == "|" for _, text in lines):
+    if lines and all(text[:1] == text[-1:] == "|" for _, text in lines):
         return [(where, text[1:-1]) for where, text in lines]
     if lines and _BRACKETS.match(lines[0][1]) and re.search(r"\](, *dtype=\w+)?\)?$", lines[-1][1]):
         inside = re.findall(r"\[([^\[\]]*)\]", " ".join(text for _, text in lines))
-        return [(lines[0][0], row) for row in inside]
+        return [(lines[0][0], row) for row in inside if row.strip()]
     rows, table, k = list[Line](), 0, 0
     for where, text in lines:
         if found := _BLOCK.match(text):
+            if not rows and "1" not in found.groups():
+                raise ScanError(f"{where}: what was printed before it is missing: {_WHOLE}")
             k = table = len(rows) if "1" in found.groups() else table
         if row := text[found.end() if found else 0 :]:
             rows[k : k + 1] = [

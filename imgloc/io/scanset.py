@@ -451,7 +451,9 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
         "laser": ["" if number is None else str(int(number)) for number in each("laser")],
     }  # fmt: skip
     rows = zip(*columns.values(), strict=True)
-    return collect([(name, dict(zip(columns, row, strict=True))) for row in rows], name)
+    places = [name] if n == 1 else [f"{name}: scan {k}" for k in range(n)]
+    entries = [dict(zip(columns, row, strict=True)) for row in rows]
+    return collect([*zip(places, entries, strict=True)], name)
 
 
 def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ...]:

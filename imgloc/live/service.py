@@ -283,7 +283,7 @@ class Service:
             by_path.setdefault(one.path, {})[one.method] = one, getattr(self, f"_{one.run}")
         routes = [Route(path, self._endpoint(by), methods=[m.upper() for m in by])
                   for path, by in by_path.items()]  # fmt: skip
-        files = StaticFiles(directory=_PAGE, html=True)
+        files = StaticFiles(directory=_PAGE, html=True, follow_symlink=True)
         routes += [Route(path, files) for path in self.page]
         return [WebSocketRoute(openapi.TRACK.path, self._track), *routes]
 

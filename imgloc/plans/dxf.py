@@ -12,6 +12,8 @@ from ezdxf.addons.drawing.backend import Backend, BkPath2d, BkPoints2d
 from ezdxf.addons.drawing.config import Configuration, HatchPolicy, LinePolicy
 from ezdxf.addons.drawing.frontend import Frontend
 from ezdxf.addons.drawing.properties import Properties, RenderContext
+from ezdxf.audit import AuditError
+from ezdxf.document import Drawing as Drawn
 from ezdxf.entities.dxfgfx import DXFGraphic
 from ezdxf.entities.insert import Insert
 from ezdxf.lldxf.const import DXFError
@@ -43,14 +45,35 @@ def read_dxf(data: bytes) -> Drawing:
             raise MapError("it is no DXF: it has no sections and no EOF")
         raise MapError("the file is cut off: it does not end with EOF; get the whole file")
     try:
-        document, _ = recover.read(io.BytesIO(data))
+        document, audit = recover.read(io.BytesIO(data))
+        _unfolds(document)
         pen, context = _Pen(), RenderContext(document, ctb=new_ctb())  # whichever it names
         _Unfolded(context, pen, _HOW).draw_layout(document.modelspace())
     except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
         raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
     others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
+    absent = sum(fix.code == AuditError.UNDEFINED_BLOCK for fix in audit.fixes)
+    others += [f"{absent} INSERT of blocks that are not there"] if absent else []
     unit = UNITS.get(document.header.get("$INSUNITS", 0))
     return Drawing(pen.strokes, (unit,) if unit else (), missing=tuple(others))
+
+
+def _unfolds(document: Drawn) -> None:
+    """Refuse blocks that unfold to too many parts, before any of them is unfolded."""
+    counts = dict[str, int]()
+
+    def count(entities: Iterable[DXFGraphic], depth: int) -> int:
+        parts = 0
+        for entity in entities:
+            parts += 1
+            if isinstance(entity, Insert) and depth < DEEP and entity.dxf.name in document.blocks:
+                if (name := entity.dxf.name.lower()) not in counts:
+                    counts[name] = 0  # one that is part of itself is refused where it is drawn
+                    counts[name] = count(document.blocks.get(name), depth + 1)
+                parts += counts[name] * max(1, entity.mcount)
+        return parts
+
+    bounded(count(document.modelspace(), 0))
 
 
 class _Unfolded(Frontend):
@@ -83,7 +106,9 @@ class _Pen(Backend):
         self.count += max(1, getattr(entity, "mcount", 1))
         bounded(self.count)
         if len(self.entity_stack) > DEEP:
-            raise MapError(f"the block {entity.dxf.get('name', '')[:40]} is part of itself")
+            raise MapError(
+                f"the block {entity.dxf.get('name', '')[:40]} is part of itself or too deep"
+            )
 
     def _keep(self, points: Iterable[Vec2], *, filled: bool = False) -> None:
         line, (_, own) = np.array([(p.x, p.y) for p in points]), self.entity_stack[-1]

@@ -6,6 +6,7 @@ scripts, links, images, fonts. What a file can unfold to is bounded: blocks in b
 entities of entities.
 """
 
+import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ import numpy as np
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display, read_file
 from imgloc.model import FloatArray
+
+LOG = logging.getLogger("imgloc")
 
 MAX_BYTES = 100_000_000  #: of a file
 MOST = 400_000  #: strokes, and entities in the file; a large floor has some 20,000
@@ -74,10 +77,12 @@ def read_drawing(path: Path) -> Drawing:
         raise MapError(f"{name}: {error}") from None
     except RecursionError:
         raise MapError(f"{name}: its parts are nested too deeply to be read") from None
+    others = ", ".join(drawing.missing[:3])
     if not drawing.strokes:
-        others = ", ".join(drawing.missing[:3])
-        why = f"; it only refers to other files, {others}: bind them" if others else ""
+        why = f"; it only refers to what is not in the file, {others}: bind it" if others else ""
         raise MapError(f"{name}: there is no line on it, expected the drawing of a floor{why}")
+    if others:
+        LOG.warning("%s: %s: what they draw is not in the file; bind it", name, others)
     return drawing
 
 

@@ -28,8 +28,8 @@ THINNER: int = number("adapt.walls")
 """Cells that walls are tried to lose on each side."""
 _GAIN = number("adapt.gain")  # nats per scan that thinner walls, or bent ones, have to gain
 # Least distance of a scale that scans show from the one in use: as a logarithm, and in standard
-# errors.
-_SCALED: tuple[float, float] = number("adapt.scaled")
+# errors; nats per scan that it has to gain besides at places of a search.
+_SCALED: tuple[float, float, float] = number("adapt.scaled")
 BENT: float = number("adapt.bent")
 """Standard deviation of the place of a piece of wall, metres, on a map that is bent."""
 # A map that others drew, as one scan tells: metres that its walls are thick at least, and that
@@ -116,11 +116,15 @@ def _pieces(
     return np.stack([one[k] for one, k in zip(told, best, strict=True)]), scale
 
 
-def judged(told: Sequence[Told], now: Shared, given: float = 1.0, image: float = 0.0) -> Shared:
+def judged(
+    told: Sequence[Told], now: Shared, given: float = 1.0, image: float = 0.0, *,
+    placed: bool = True,
+) -> Shared:  # fmt: skip
     """The errors that scans speak for together; `given` is the scale without any of them.
 
     They compete: what gains most is allowed for. The `image` speaks for bent walls, too, once: its
-    nats are those of :func:`image_gain`. How thick walls are, straight ones show: the
+    nats are those of :func:`image_gain`. Scans that are not `placed` have to gain more by a scale:
+    at wrong places they fit with any. How thick walls are, straight ones show: the
     offset of a bent wall may stand for its thickness. The scale is the median of those of the
     scans; if it differs from the given one by less than some standard errors, it is that one.
 
@@ -140,20 +144,20 @@ def judged(told: Sequence[Told], now: Shared, given: float = 1.0, image: float =
     n, now_at = int(np.argmax(straight)), min(now.thinner, len(straight) - 1)
     if straight[n] <= straight[now_at] + _GAIN:
         n = now_at
-    scale = _scale_of(told, now, given)
+    scale, more = _scale_of(told, now, given), _SCALED[2]
     cost = _GAIN + price(replace(now, scale=scale), replace(now, scale=given), 0.0)
     scaled = -np.inf if scale == now.scale else float(np.mean([one.scaled for one in told])) - cost
     best = max(straight[n], scaled)
     if not now.straight and bent[n] + image / len(told) > best + _GAIN:
         return replace(now, thinner=now.thinner if n == now_at else n, bent=BENT)
     if scaled > straight[n]:
-        return replace(now, scale=scale)
+        return replace(now, scale=scale) if placed or scaled > straight[n] + more else now
     return replace(now, thinner=now.thinner if n == now_at else n)
 
 
 def _scale_of(told: Sequence[Told], now: Shared, given: float) -> float:
     """The scale that scans show; that of `now` if theirs is not another one."""
-    least, errors = _SCALED
+    least, errors, _ = _SCALED
     logs = np.log([one.scale * now.scale for one in told])
     middle = float(np.median(logs))
     # The standard error of a median is 1.25 times a mean's.

@@ -127,6 +127,12 @@ def score_poses(
     )  # fmt: skip
 
 
+def countable(readings: Readings) -> bool:
+    """Return whether any piece of a scan has readings enough to count."""
+    order, parts, _ = pieces(readings.ranges, readings.angles)
+    return bool((_sizes(parts, len(order)) >= _RUN[0]).any())
+
+
 def walls(some: BoolArray, straight: BoolArray) -> IntArray:
     """Number of walls (C,) of some of the pieces (C, P), if those that are `straight` go on.
 

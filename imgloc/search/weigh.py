@@ -18,7 +18,7 @@ from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes, temperature_of
 from imgloc.search.priors import ranked, stands
 from imgloc.search.refine import FROM_CELLS, refine, residuals
-from imgloc.search.rescore import Scores, score_poses, things_at
+from imgloc.search.rescore import Scores, countable, score_poses, things_at
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
@@ -180,8 +180,8 @@ def evidence_of(
     # Rays that met nothing would cost as much in a building on no map.
     gained = (float(scores.things[best] - scores.silence[best]) - unmapped * n) / temperature.value
     mapped, through = int(scores.mapped[best]), int(scores.through[best])
-    # Half a wall: a map that explains none of a scan is none of its place.
-    against = _PIECES * math.log((1 + through) / (0.5 + mapped))
+    # Half a wall: a map that explains none of a scan is none of its place, if any can be counted.
+    against = _PIECES * math.log((1 + through) / (mapped + (0.5 if countable(readings) else 1)))
     against += _FLOOR * (floor is not None)  # what may be left out fits more places
     return Evidence(
         n, model.best, model.best - float(scores.log_likelihood[best]) / n, unmapped, gained,
