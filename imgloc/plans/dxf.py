@@ -11,7 +11,7 @@ from ezdxf.addons.acadctb import new_ctb
 from ezdxf.addons.drawing.backend import Backend, BkPath2d, BkPoints2d
 from ezdxf.addons.drawing.config import Configuration, HatchPolicy, LinePolicy
 from ezdxf.addons.drawing.frontend import Frontend
-from ezdxf.addons.drawing.properties import Properties, RenderContext
+from ezdxf.addons.drawing.properties import RenderContext
 from ezdxf.audit import AuditError
 from ezdxf.document import Drawing as Drawn
 from ezdxf.entities.dxfgfx import DXFGraphic
@@ -46,7 +46,7 @@ def read_dxf(data: bytes) -> Drawing:
         raise MapError("the file is cut off: it does not end with EOF; get the whole file")
     try:
         document, audit = recover.read(io.BytesIO(data))
-        _unfolds(document)
+        bounded(_unfold_to(document))
         pen, context = _Pen(), RenderContext(document, ctb=new_ctb())  # whichever it names
         _Unfolded(context, pen, _HOW).draw_layout(document.modelspace())
     except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
@@ -58,22 +58,22 @@ def read_dxf(data: bytes) -> Drawing:
     return Drawing(pen.strokes, (unit,) if unit else (), missing=tuple(others))
 
 
-def _unfolds(document: Drawn) -> None:
-    """Refuse blocks that unfold to too many parts, before any of them is unfolded."""
+def _unfold_to(document: Drawn) -> int:
+    """Number of the parts that blocks unfold to, before any is unfolded."""
     counts = dict[str, int]()
 
-    def count(entities: Iterable[DXFGraphic], depth: int) -> int:
-        parts = 0
-        for entity in entities:
-            parts += 1
-            if isinstance(entity, Insert) and depth < DEEP and entity.dxf.name in document.blocks:
-                if (name := entity.dxf.name.lower()) not in counts:
-                    counts[name] = 0  # one that is part of itself is refused where it is drawn
-                    counts[name] = count(document.blocks.get(name), depth + 1)
-                parts += counts[name] * max(1, entity.mcount)
-        return parts
+    def count(layout: Iterable[DXFGraphic], within: tuple[str, ...]) -> int:
+        entities = list(layout)
+        for entity in (e for e in entities if isinstance(e, Insert)):
+            if (name := entity.dxf.name.lower()) in within or len(within) > DEEP:
+                raise MapError(f"the block {name[:40]} is part of itself, or too deep in others")
+            if name not in counts:
+                block = document.blocks.get(name)
+                counts[name] = 0 if block is None else count(block, (*within, name))
+        inserted = ((e.dxf.name.lower(), e.mcount) for e in entities if isinstance(e, Insert))
+        return len(entities) + sum(counts[name] * max(1, copies) for name, copies in inserted)
 
-    bounded(count(document.modelspace(), 0))
+    return count(document.modelspace(), ())
 
 
 class _Unfolded(Frontend):
@@ -98,17 +98,6 @@ class _Pen(Backend):
     def __init__(self) -> None:
         super().__init__()
         self.strokes: list[Stroke] = []
-        self.count = 0
-
-    def enter_entity(self, entity: DXFGraphic, properties: Properties) -> None:
-        """Count an entity, and its copies, before it is unfolded."""
-        super().enter_entity(entity, properties)
-        self.count += max(1, getattr(entity, "mcount", 1))
-        bounded(self.count)
-        if len(self.entity_stack) > DEEP:
-            raise MapError(
-                f"the block {entity.dxf.get('name', '')[:40]} is part of itself or too deep"
-            )
 
     def _keep(self, points: Iterable[Vec2], *, filled: bool = False) -> None:
         line, (_, own) = np.array([(p.x, p.y) for p in points]), self.entity_stack[-1]
