@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Iterable
-from functools import cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,9 +37,7 @@ def read_dxf(data: bytes) -> Drawing:
         if data.startswith(start):
             raise MapError(f"it is a {what}, expected a DXF as text: save it as ASCII DXF")
     if data.count(b"\n") > _LINES:
-        raise MapError(
-            f"it has more than {_LINES:,} lines of text, expected the drawing of a floor"
-        )
+        raise MapError(f"it has more than {_LINES:,} lines, expected the drawing of a floor")
     if not data.rstrip(b"\r\n \x1a\0").endswith(b"EOF"):
         if b"SECTION" not in data:
             raise MapError("it is no DXF: it has no sections and no EOF")
@@ -60,35 +58,28 @@ def read_dxf(data: bytes) -> Drawing:
 
 def _unfold_to(document: Drawn) -> int:
     """Number of the parts that blocks unfold to, before any is unfolded."""
-    counts = dict[str, int]()
 
-    def count(layout: Iterable[DXFGraphic], within: tuple[str, ...]) -> int:
-        entities = list(layout)
-        for entity in (e for e in entities if isinstance(e, Insert)):
-            if (name := entity.dxf.name.lower()) in within or len(within) > DEEP:
-                raise MapError(f"the block {name[:40]} is part of itself, or too deep in others")
-            if name not in counts:
-                block = document.blocks.get(name)
-                counts[name] = 0 if block is None else count(block, (*within, name))
-        inserted = ((e.dxf.name.lower(), e.mcount) for e in entities if isinstance(e, Insert))
-        return len(entities) + sum(counts[name] * max(1, copies) for name, copies in inserted)
+    @cache
+    def count(name: str, depth: int) -> int:
+        if depth > DEEP:
+            raise MapError(f"the block {name[:40]} is part of itself, or too deep in others")
+        parts = list(document.blocks.get(name) or ()) if depth else list(document.modelspace())
+        inserts = [e for e in parts if isinstance(e, Insert)]
+        return len(parts) + sum(count(e.dxf.name, depth + 1) * max(1, e.mcount) for e in inserts)
 
-    return count(document.modelspace(), ())
+    return count("", 0)
 
 
 class _Unfolded(Frontend):
     """A model, block by block."""
 
-    @cached_property
-    def off(self) -> set[str]:
-        """Layers that are off, whose blocks are left out as a whole."""
-        return {name for name, layer in self.ctx.layers.items() if not layer.is_visible}
-
     def draw_entities(self, entities: Iterable[DXFGraphic], **_: Any) -> None:
         """Draw what may be a part of a building."""
         some = (e for e in entities if e.dxftype() in _DRAWN)
+        # Blocks on layers that are off are left out as a whole.
+        off = {name for name, layer in self.ctx.layers.items() if not layer.is_visible}
         super().draw_entities(
-            e for e in some if not (isinstance(e, Insert) and e.dxf.layer.lower() in self.off)
+            e for e in some if not (isinstance(e, Insert) and e.dxf.layer.lower() in off)
         )
 
 
@@ -122,8 +113,7 @@ class _Pen(Backend):
 
     def draw_filled_polygon(self, points: BkPoints2d, _: object) -> None:
         """Keep the edge of an area."""
-        corners = points.vertices()
-        self._keep((*corners, corners[0]), filled=True)
+        self._keep((*points.vertices(), points.vertices()[0]), filled=True)
 
     def _left_out(self, *_: Any, **__: Any) -> None:
         """Points, images and colours are no part of a building."""

@@ -305,7 +305,7 @@ def hostile(folder: Path) -> dict[str, tuple[bytes, str]]:
         "bomb.dxf": ((folder / "bomb").read_bytes(), "unfold to more than"),
         "cycle.dxf": ((folder / "cycle").read_bytes(), "is part of itself"),
         "cut.dxf": (whole[: len(whole) // 2], "the file is cut off"),
-        "many.dxf": (many, "lines of text, expected the drawing of a floor"),
+        "many.dxf": (many, "lines, expected the drawing of a floor"),
         "no.dxf": (b"hello", "it is no DXF"),
         "dwg.dxf": (b"AC1032" + bytes(99), "it is a DWG"),
         "entities.svg": (b'<!DOCTYPE s [<!ENTITY a "b">]><svg>&a;</svg>', "declares entities"),

@@ -143,9 +143,7 @@ def _recorded(path: Path, how: "ScanFiles", desk: "Desk") -> "tuple[ScanSet, dic
     """Scans of a file, and their source; a ScanError if their poses are not known."""
     taken = desk.scans(path, how)
     if taken.scans.poses is None:
-        raise ScanError(
-            f"{taken.name}: no poses; expected the true pose of each scan to compare with"
-        )
+        raise ScanError(f"{taken.name}: no poses; expected the true pose of each scan")
     chosen = how.chosen
     source: dict[str, Any] = {"scans": taken.name, "sample": chosen.sample}
     source |= {"sample_seed": chosen.seed, "range_max": how.range_max}
