@@ -103,9 +103,6 @@ def test_features_take_it_from_either():
     assert image.vmap.shape == contours.vmap.shape
     assert (image.vmap != contours.vmap).any()
     assert not image.vmap.flags.writeable
-    for wrong in ({"vmap_from": "scan"}, {"visibility_by": "eye"}):
-        with pytest.raises(ConfigError, match="must be one of"):
-            MapFeatures(grid, **wrong)
 
 
 def test_without_walls_there_is_no_field():

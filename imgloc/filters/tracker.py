@@ -535,7 +535,7 @@ class Tracker:
         Returns whether it did. `poses` (C, 3) are places where the robot may be. A scan that fits
         at one of them speaks for the errors in use.
         """
-        shared, options, told = self.options.shared, self.options, Told()
+        shared, options, told = self.options.shared, self.options, Told(fits=True)
         if shared.bent:  # offsets of bent walls look like a scale
             return False
         if misfit_at(self.features, view, poses, options) > options.fused.strained:
@@ -548,7 +548,8 @@ class Tracker:
             told = told_by(self._drawn, view.readings, at, shared, options)
         self._told.append(told)
         del self._told[: -self.how.walls[0]]
-        if len(self._told) < self.how.walls[0]:
+        fit = sum(one.fits for one in self._told)  # one odd scan among them is no error of all
+        if len(self._told) < self.how.walls[0] or told.fits or 2 * fit > len(self._told):
             return False
         now = replace(shared, straight=shared.straight or self._proven)
         image, placed = image_gain(self._drawn), self._leads

@@ -52,6 +52,7 @@ class Told:
     walls: FloatArray = field(default_factory=lambda: np.zeros((THINNEST + 1, 2)))
     scaled: float = 0.0  #: with straight walls as they are in use, and another scale
     scale: float = 1.0  #: that scale: a factor on the ranges
+    fits: bool = False  #: whether the scan fits as it is, and was asked nothing
 
 
 def told_by(
