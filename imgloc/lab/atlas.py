@@ -119,7 +119,7 @@ def check_count(count: int, step: float) -> None:
     """Refuse more poses than :data:`MOST`, at places `step` metres apart: a ConfigError."""
     if count > MOST:
         found = f"`step`: {count:,} poses at places {step:g} m apart"
-        raise ConfigError(f"{found}, at most {MOST:,}; use a larger step or fewer headings")
+        raise ConfigError(f"{found}, expected at most {MOST:,}; use a larger step")
 
 
 def simulate_at(
