@@ -117,5 +117,5 @@ def test_another_building_and_an_old_map_are_told_apart(
     gone = np.kron(rng.random((height // 20 + 1, width // 20 + 1)) < 0.35, np.ones((20, 20), bool))
     walls = gone[:height, :width] & place.occupied
     old = OccupancyGrid(occupied & ~walls, free | walls, place.resolution, place.origin)
-    (hint,) = hints(followed(old, whole.take(range(40)), tmp_path))
+    (hint,) = hints(followed(old, whole.take(range(46)), tmp_path))
     assert "the map may be old. imgloc map changes MAP SCANS shows where" in hint
