@@ -406,6 +406,8 @@ def test_what_people_write_for_nothing(tmp_path: Path) -> None:
     for first in ("1", "inf", "None"):
         scans = loaded(tmp_path, broken.replace("[1.", f"[{first}"))
         assert scans[1].ranges.tolist()[1:] == [2, 5]
+    rows = loaded(tmp_path, '# angle_min=-1, angle_max=1\n"1" 2.01 2.05 2.07\n"2" 2.02 2.06 2.08\n')
+    assert rows[0].ranges.tolist() == [2.01, 2.05, 2.07]  # R names its rows
     with pytest.raises(ScanError, match="printed shortened"):
         loaded(tmp_path, broken.replace("2.", "..."))
     with pytest.raises(ScanError, match="line 3: it was printed with four digits and a factor"):

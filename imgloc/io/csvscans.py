@@ -93,8 +93,8 @@ _POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./]
 _AXES = "position/x", "position/y", "orientation/z", "orientation/w"
 _CLOCKWISE = "a quality beside angles is an RPLIDAR's, which counts them clockwise: `flipped=True`"
 _POINTS = " are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y)"
-# A quoted cell before others that are not.
-_QUOTED = re.compile(r'"[^"]*"[^"]+$')
+# A quoted cell, a name and no damage, before others that are not.
+_QUOTED = re.compile(r'"[^"]{1,80}"[^"]+$')
 Row = tuple[str, list[str]]  #: where a line stands, and its cells
 Role = tuple[str, int, float]  #: of a column, see :func:`role_of`
 
@@ -149,7 +149,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         if {len(row) - len(names) for _, row in body} == {1}:  # as R and pandas write them
             names.insert(0, "index")
     elif all(_QUOTED.match(text) for _, text in below):  # names of rows, as R writes them
-        body = [(where, row[1:]) for where, row in body]
+        body[:] = [(where, row[1:]) for where, row in body]
         names = []
     elif (head := _head(name, body, settings, fov)) is not None:
         names = head

@@ -33,6 +33,15 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
     >>> rows = "Columns 1 through 2", "1 2", "3 4", "Column 3", "5", "6"
     >>> [text for _, text in unprinted([("", row) for row in rows])]
     ['1 2 5', '3 4 6']
+    >>> for rows in (("ranges = [1. 2.]", "angles = [0. 1.]"), ("Columns 3 through 4", "1 2")):
+    ...     try:
+    ...         unprinted([("a.txt", row) for row in rows])
+    ...     except ScanError as error:
+    ...         print(str(error).partition(": write")[0])
+    a.txt: a second array, expected the ranges alone
+    a.txt: what was printed before it is missing
+    >>> unprinted([("", "[]")]), unprinted([("", "Column 1,angle,range")])
+    ([], [('', 'Column 1,angle,range')])
     """
     for where, text in lines:
         if ".." in text and _LEFT_OUT.search(text):

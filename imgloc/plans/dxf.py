@@ -57,7 +57,20 @@ def read_dxf(data: bytes) -> Drawing:
 
 
 def _unfold_to(document: Drawn) -> int:
-    """Number of the parts that blocks unfold to, before any is unfolded."""
+    """Number of the parts that blocks unfold to, before any is unfolded.
+
+    Examples
+    --------
+    >>> import ezdxf
+    >>> document = ezdxf.new()
+    >>> for name, below in ("a", None), ("b", "a"), ("c", "b"):
+    ...     for _ in range(10):
+    ...         block = document.blocks.get(name) or document.blocks.new(name)
+    ...         _ = block.add_blockref(below, (0, 0)) if below else block.add_line((0, 0), (1, 0))
+    >>> _ = document.modelspace().add_blockref("c", (0, 0))
+    >>> _unfold_to(document)
+    1111
+    """
 
     @cache
     def count(name: str, depth: int) -> int:
