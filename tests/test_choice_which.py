@@ -4,6 +4,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,17 +96,18 @@ def answers(scores: dict[str, float]) -> dict[str, Localization]:
     return {name: made(score) for name, score in scores.items()}
 
 
+def as_they_are(name: str) -> Any:
+    return choosing.nullcontext((name, choosing.OPTIONS))
+
+
 def test_more_maps_are_searched_while_the_best_three_change(monkeypatch) -> None:
     def run(scores: list[float]) -> int:
         names = [f"{k:02d}" for k in range(len(scores))]
         known = answers(dict(zip(names, scores, strict=True)))
         monkeypatch.setattr(choosing, "fit", lambda features, scan, options: known[features])
 
-        def opened(name: str):
-            return choosing.nullcontext((name, None))
-
         bounds = {name: -float(name) for name in names}  # best first
-        (fits,) = search([None], names, lambda _: bounds, opened)  # type: ignore[list-item]
+        (fits,) = search([None], names, lambda _: bounds, as_they_are)  # type: ignore[list-item]
         assert list(fits) == names[: len(fits)]
         return len(fits)
 
@@ -117,7 +119,7 @@ def test_more_maps_are_searched_while_the_best_three_change(monkeypatch) -> None
 
 
 def test_of_maps_that_are_all_searched_no_bound_is_asked_for(monkeypatch) -> None:
-    known = answers({f"{k:02d}": 100.0 - k for k in range(FIRST + 2)})
+    known = answers({f"{k:02d}": 100.0 - k for k in range(MOST + 2)})
     monkeypatch.setattr(choosing, "fit", lambda features, scan, options: known[features])
     asked: list[None] = []
 
@@ -125,10 +127,26 @@ def test_of_maps_that_are_all_searched_no_bound_is_asked_for(monkeypatch) -> Non
         asked.append(scan)
         return {name: -float(name) for name in known}
 
-    for count, of_bounds in ((FIRST + 1, 0), (FIRST + 2, 1)):
+    for count, of_bounds in ((MOST + 1, 0), (MOST + 2, 1)):
         names = list(known)[:count]
-        (fits,) = search([None], names, bounds, lambda name: choosing.nullcontext((name, None)))  # type: ignore[list-item,arg-type]
-        assert (len(fits), len(asked)) == (FIRST + 1 - of_bounds, of_bounds)
+        (fits,) = search([None], names, bounds, as_they_are)  # type: ignore[list-item,arg-type]
+        assert (len(fits), len(asked)) == (FIRST if of_bounds else count, of_bounds)
+
+
+def test_parts_of_a_scan_propose_on_the_maps_that_lead_alone(monkeypatch) -> None:
+    known = answers({f"{k:02d}": 100.0 - k for k in range(FIRST)})
+    asked: list[tuple[str, bool]] = []
+
+    def fit(name: str, scan: None, options: Options) -> Localization:
+        asked.append((name, np.isfinite(options.fused.unfit)))
+        return known[name]
+
+    monkeypatch.setattr(choosing, "fit", fit)
+    for names in (list(known), list(known)[:3]):
+        asked.clear()
+        search([None], names, dict, as_they_are)  # type: ignore[list-item,arg-type]
+        assert [name for name, parts in asked if parts] == ["00", "01", "02"]
+        assert [name for name, parts in asked if not parts] == (names if len(names) > 3 else [])
 
 
 def test_a_map_that_cannot_be_opened_is_made_up_for(monkeypatch) -> None:
@@ -138,7 +156,7 @@ def test_a_map_that_cannot_be_opened_is_made_up_for(monkeypatch) -> None:
 
     def opened(name: str):
         asked.append(name)
-        return choosing.nullcontext(None if name == "03" else (name, None))
+        return choosing.nullcontext(None if name == "03" else (name, choosing.OPTIONS))
 
     bounds = {name: -float(name) for name in known}
     (fits,) = search([None], known, lambda _: bounds, opened)  # type: ignore[list-item]

@@ -9,15 +9,16 @@ of the scan's building, so the third best map fits by chance. The best of all ch
 one by a few nats, and by as much with many maps as with few: the upper spacings of a tail that is
 about exponential do not depend on their number.
 
-Only a few of many maps are searched to the end. The coarse levels of a map give a bound on how well
-the scan can fit it. The maps of the best bounds are searched first, until no other can overtake the
-leading three. This is branch and bound over the folder, with a bound that holds nearly always.
+Only a few of many maps are searched. The coarse levels of a map give a bound on how well the scan
+can fit it. The maps of the best bounds are searched first, until no other can overtake the leading
+three. This is branch and bound over the folder, with a bound that holds nearly always. A map on
+which nothing fits is searched by the whole scan alone; by parts of it, too, once it leads.
 """
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -51,11 +52,11 @@ FEW = number("choose.few")
 Fewer maps do not show what fits by chance. A scan that fits by chance mostly fits at several
 places."""
 FIRST: int = number("choose.first")
-"""Number of maps that are searched to the end at first."""
+"""Number of maps that are searched at first."""
 NEXT: int = number("choose.next")
 """Number of further maps to search at a time, while one of the last is among the best three."""
 MOST = 2 * FIRST
-"""Largest number of maps that are searched to the end."""
+"""Largest number of maps that are searched."""
 Opened = tuple[MapFeatures, Options]  #: a map, and how scans are located in it
 NO_MAP = ("none", "undecided", "invalid")  #: verdicts that name no map
 
@@ -195,10 +196,11 @@ def search(
     few = at_first(len(names)) == len(names)
     usable = [dict.fromkeys(names, 1.0) if few else dict(bounds(scan)) for scan in scans]
     found: list[dict[str, Localization]] = [{} for _ in scans]
+    ended: list[set[str]] = [set() for _ in scans]  # maps that are searched to the end
     while True:
         asked: dict[str, list[int]] = {}
         for k, fits in enumerate(found):
-            for name in next_maps(usable[k], fits):
+            for name in next_maps(usable[k], fits) or leading(fits) - ended[k]:
                 asked.setdefault(name, []).append(k)
         if not asked:
             return [{n: fits[n] for n in best_first(of) if n in fits}
@@ -208,9 +210,14 @@ def search(
                 for k in these:
                     if opened is None:
                         del usable[k][name]
+                        continue
+                    options = opened[1]
+                    if name in found[k] or len(usable[k]) <= 3:
+                        ended[k].add(name)
                     else:
-                        found[k][name] = fit(opened[0], scans[k], opened[1])
-                        advance()
+                        options = replace(options, fused=replace(options.fused, unfit=np.inf))
+                    found[k][name] = fit(opened[0], scans[k], options)
+                    advance()
 
 
 def best_first(bounds: Mapping[str, float]) -> list[str]:
@@ -227,12 +234,21 @@ def next_maps(bounds: Mapping[str, float], fits: Mapping[str, Localization]) -> 
     return rest[: _more([fits[name] for name in order if name in fits])]
 
 
+def leading(fits: Mapping[str, Localization]) -> set[str]:
+    """Names of the three maps whose evidence is best: two of the building, and one by chance."""
+    if not any(f.hypotheses for f in fits.values()):
+        return set()
+    temperature = _best(fits.values()).evidence.temperature.value
+    order = sorted(fits, key=lambda name: -log_evidence(fits[name], temperature))
+    return set(order[:3])
+
+
 def at_first(count: int) -> int:
     """Number of maps, of so many, that are searched before they are compared.
 
-    Where one map is left its search takes no longer than the bounds of all: it is not left out.
+    The bounds of all take as long as the search of half of them: of few none is left out.
     """
-    return count if count <= FIRST + 1 else FIRST
+    return count if count <= MOST + 1 else FIRST
 
 
 def _more(fits: Sequence[Localization]) -> int:
