@@ -291,7 +291,8 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     """Search for all poses that fit a scan, and allow for errors that many readings share.
 
     If nothing fits well on a map that others drew, walls are taken for bent. Else it is tried
-    without readings that may end on the floor, and with another scale or thinner walls.
+    without readings that may end on the floor, and with another scale or thinner walls, from the
+    places that are known by then.
 
     Arguments and result are those of :func:`find_modes`, with what was found; `features` are of the
     uncorrected map. The time budget covers all searches together.
@@ -338,7 +339,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
             shared = adapt(features, found.readings, places, found.shared, options)
             if shared == found.shared:
                 break
-            adapted = again(shared, found.floor, more=found.places, alone=found.leads)
+            adapted = again(shared, found.floor, more=found.places, alone=True)
             if adapted.mean_score <= found.mean_score:
                 break
             found = adapted
