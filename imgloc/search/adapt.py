@@ -278,22 +278,23 @@ def adapt(
     Shared
         The better error, or `now` if there is none.
     """
-    fused = options.fused
+    fused, cell = options.fused, features.grid.resolution
     count, readings = len(readings), readings.spread(_READINGS)
 
-    def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
-        return score_readings(there, readings, poses, options.model)
-
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
-        there = features.thinner(thinner)
-        poses = refine(poses, readings.xy, there.field, sigmas=FROM_CELLS)
+        there, seen = features, readings
+        if features.peels:
+            there = features.thinner(thinner)
+        else:  # a wall that is that much thicker stops a ray by that much earlier
+            seen = replace(seen, ranges=np.maximum(seen.ranges - thinner * cell, cell))
+        poses = refine(poses, seen.xy, there.field, sigmas=FROM_CELLS)
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
         small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)
         small &= (scale >= SCALES[0]) & (scale <= SCALES[1])
         if not small.any():
             return float("-inf"), now
-        score = score_of(poses[small], there)
+        score = score_readings(there, seen, poses[small], options.model)
         k = int(score.argmax())
         return float(score[k]), replace(now, scale=float(scale[small][k]), thinner=thinner)
 
@@ -301,15 +302,16 @@ def adapt(
     found = best(_scaled(places), now.thinner)
     walls = float("-inf"), now
     for n in range(now.thinner + 1, THINNEST + 1):
-        if not features.peels:
-            break
         again = best(places, n)
         if again[0] <= walls[0]:
             break
         walls = again
     score, shared = max(found, walls, key=lambda one: one[0])
-    before = score_of(places[:1], features.thinner(now.thinner))
+    there = features.thinner(now.thinner)
+    before = score_readings(there, readings, places[:1], options.model)
     gain = (score - before[0]) / len(readings)
+    if not features.peels and shared.thinner:
+        return now  # there are no thinner walls, but they are not taken for a scale
     return shared if gain * count > fused.adapted else now
 
 

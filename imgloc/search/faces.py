@@ -36,10 +36,13 @@ _SMOOTH = number("faces.smooth")  # slope of the field below which its direction
 def depth_of(shared: Shared, features: MapFeatures) -> tuple[float, float]:
     """Mean and standard deviation, metres, of how deep in the walls of a map their faces are.
 
-    Walls with straight borders were drawn: their faces are the borders.
+    Walls with straight borders were drawn: their faces are the borders, unless they are thicker
+    than the real ones. Of a very large map no search tries thinner walls.
     """
-    depth = 0.0 if shared.depth is None and features.straight else shared.depth
-    return _DEPTH if depth is None else (depth, _KNOWN)
+    if shared.depth is not None:
+        return shared.depth, _KNOWN
+    mean, deviation = _DEPTH
+    return 0.0 if features.straight else mean, deviation if features.peels else DEEPEST
 
 
 def any_depth() -> tuple[float, float]:

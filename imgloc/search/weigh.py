@@ -41,9 +41,6 @@ class Weighed:
     covariance: FloatArray  #: (L, 3, 3) covariances of the first L poses, at least those listed
     evidence: Evidence  #: how well the best pose fits; the answer adds the rest
     explained: float = 0.0  #: share of the valid rays that the best pose explains, 0..1
-    #: share of the best pose, 0..1, as evidence that the true pose is not elsewhere. It is 0 for a
-    #: stack, because votes also spread where walls are few.
-    lead: float = 0.0
     entropy: float | None = None  #: entropy of the whole posterior, nats; None without one
     complete: bool = True  #: the search came to its end
 
@@ -90,8 +87,7 @@ def weigh(
         covariance = covariance + swept(scan.duration, lever, options)
         explained = explained_rays(features, scan, poses[:1], options, shared)
     whole = found.complete
-    lead = float(alone[0])
-    return Weighed(poses, score, share, alone, covariance, fit, explained, lead, complete=whole)
+    return Weighed(poses, score, share, alone, covariance, fit, explained, complete=whole)
 
 
 def covariances_there(
