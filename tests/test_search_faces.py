@@ -12,7 +12,7 @@ from imgloc.features.scanpoints import Readings
 from imgloc.io.calibration import calibration_path, load_calibrations, save_calibrations
 from imgloc.model import OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import DEEPEST, Options, Prior, Shared
+from imgloc.options import Options, Prior, Shared
 from imgloc.search.faces import any_depth, depth_of, faces_met, on_faces
 from imgloc.search.modes import Modes
 from imgloc.search.rescore import score_poses
@@ -105,15 +105,13 @@ def test_a_face_that_is_not_known_counts_along_the_view(cells, share):
     assert behind < 0.6 * scan  # a wall behind the sensor tells where the faces are
 
 
-def test_the_faces_of_drawn_walls_are_their_borders_unless_these_are_too_thick(monkeypatch):
+def test_the_faces_of_drawn_walls_are_their_borders_unless_these_are_too_thick():
     walls = room(3, 360).grid.occupied.copy()
     walls[:8] = walls[-8:] = False  # no specks: all borders are straight
     drawn = MapFeatures(OccupancyGrid(walls, ~walls, CELL))
     assert depth_of(Shared(), drawn) == (0.0, UNKNOWN[1])
     assert depth_of(Shared(depth=0.04), drawn) == (0.04, KNOWN[1])  # a calibration knows better
     assert depth_of(Shared(), room(3, 360)) == UNKNOWN
-    monkeypatch.setattr("imgloc.features.mapfeatures.PEELED_CELLS", 0)  # no thinner walls are tried
-    assert depth_of(Shared(), drawn) == (0.0, DEEPEST)
 
 
 def test_a_pose_stays_where_no_sensor_can_be_at_the_new_one():

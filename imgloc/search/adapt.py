@@ -13,7 +13,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
-from imgloc.model import FloatArray
+from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import SCALES, FusedOptions, Options, Shared
 from imgloc.search.priors import standing
@@ -42,6 +42,17 @@ _DOUBT, _COUNTS = number("adapt.doubt")
 # walls were found to be too thick on each side.
 _AGAINST: tuple[float, float] = number("adapt.against")
 _PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many are used
+
+
+def as_seen(features: MapFeatures, scan: LaserScan, now: Shared) -> tuple[MapFeatures, LaserScan]:
+    """The map and a scan of it without an error that all readings share.
+
+    Where walls stay too thick, readings end that much nearer instead.
+    """
+    scan = scan.scaled(now.scale)
+    near = np.maximum(scan.ranges - features.thicker(now.thinner), scan.range_min)
+    near = np.where(scan.valid, near, scan.ranges)
+    return features.thinner(now.thinner), replace(scan, ranges=near)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,15 +289,12 @@ def adapt(
     Shared
         The better error, or `now` if there is none.
     """
-    fused, cell = options.fused, features.grid.resolution
+    fused = options.fused
     count, readings = len(readings), readings.spread(_READINGS)
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
-        there, seen = features, readings
-        if features.peels:
-            there = features.thinner(thinner)
-        else:  # a wall that is that much thicker stops a ray by that much earlier
-            seen = replace(seen, ranges=np.maximum(seen.ranges - thinner * cell, cell))
+        there, near = features.thinner(thinner), features.thicker(thinner - now.thinner)
+        seen = replace(readings, ranges=np.maximum(readings.ranges - near, 0.0))
         poses = refine(poses, seen.xy, there.field, sigmas=FROM_CELLS)
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
@@ -307,11 +315,8 @@ def adapt(
             break
         walls = again
     score, shared = max(found, walls, key=lambda one: one[0])
-    there = features.thinner(now.thinner)
-    before = score_readings(there, readings, places[:1], options.model)
+    before = score_readings(features.thinner(now.thinner), readings, places[:1], options.model)
     gain = (score - before[0]) / len(readings)
-    if not features.peels and shared.thinner:
-        return now  # there are no thinner walls, but they are not taken for a scale
     return shared if gain * count > fused.adapted else now
 
 

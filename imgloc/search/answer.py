@@ -25,9 +25,8 @@ def answered(
     `features` are those of the map, `found` has its poses in the grid frame. The answer has them in
     the map frame. `ms` is the wall time of the search, milliseconds.
     """
-    elsewhere, volume = 1.0, log_volume(features, options)
-    if len(found.poses):
-        elsewhere = options.trust.mass_elsewhere(found.evidence.net, volume)
+    volume, net = log_volume(features, options), found.evidence.net
+    elsewhere = options.trust.mass_elsewhere(net, volume) if len(found.poses) else 1.0
     mass = (1 - elsewhere) * found.share
     alone = (1 - elsewhere) * found.alone
     weighed = options.prior.weights is not None or bool(options.prior.hints)

@@ -37,12 +37,10 @@ def depth_of(shared: Shared, features: MapFeatures) -> tuple[float, float]:
     """Mean and standard deviation, metres, of how deep in the walls of a map their faces are.
 
     Walls with straight borders were drawn: their faces are the borders, unless they are thicker
-    than the real ones. Of a very large map no search tries thinner walls.
+    than the real ones.
     """
-    if shared.depth is not None:
-        return shared.depth, _KNOWN
-    mean, deviation = _DEPTH
-    return 0.0 if features.straight else mean, deviation if features.peels else DEEPEST
+    mean = 0.0 if features.straight else _DEPTH[0]
+    return (mean, _DEPTH[1]) if shared.depth is None else (shared.depth, _KNOWN)
 
 
 def any_depth() -> tuple[float, float]:
