@@ -38,8 +38,8 @@ SCALES = 0.5, 2
 """The least and the greatest factor on all readings that can be stated or found."""
 DEEPEST = 0.15
 """Metres that readings may end behind, or before, the border of a wall, to be stated or found."""
-LOG_VOLUME = -15.4
-"""Logarithm of the share of a hypothesis in all poses of a place known to 5 m and 110 degrees."""
+LOG_VOLUME = -13.4
+"""Logarithm of the share of a hypothesis in all poses of a place known to 2.5 m and 30 degrees."""
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Place = Annotated[float, Within(-FAR, FAR, "metres")]  #: x or y
@@ -362,8 +362,8 @@ class Trust(Checked):
     fine: Length = number("Trust.fine")
     #: log-odds that the true pose is none of the hypotheses: a constant, a weight per nat by which
     #: the best pose fits better than a building that is not on the map, less the nats against the
-    #: pose, and a weight per logarithm of the number of possible poses, as the more there are, the
-    #: better one fits by chance. A logistic regression, see ``python -m tools.trust fit``
+    #: pose, and a weight per logarithm of the number of possible poses where these are few, as of a
+    #: place that is known: hardly any fits by chance. See ``python -m tools.trust fit``
     elsewhere: tuple[LogOdds, LogOdds, LogOdds] = number("Trust.elsewhere")
     #: greatest evidence, nats, that counts in the log-odds
     most: Nats = number("Trust.most")
@@ -403,7 +403,7 @@ class Trust(Checked):
         """
         constant, per_nat, per_log = self.elsewhere
         said = min(max(evidence, -self.most), self.most)
-        odds = constant + per_nat * said + per_log * (LOG_VOLUME - log_volume)
+        odds = constant + per_nat * said + per_log * min(0.0, LOG_VOLUME - log_volume)
         return 1 / (1 + math.exp(min(-odds, 700.0)))
 
 

@@ -111,7 +111,6 @@ def test_the_faces_of_drawn_walls_are_their_borders_unless_these_are_too_thick()
     drawn = MapFeatures(OccupancyGrid(walls, ~walls, CELL))
     assert depth_of(Shared(), drawn) == (0.0, UNKNOWN[1])
     assert depth_of(Shared(depth=0.04), drawn) == (0.04, KNOWN[1])  # a calibration knows better
-    assert depth_of(Shared(), room(3, 360)) == UNKNOWN
 
 
 def test_a_pose_stays_where_no_sensor_can_be_at_the_new_one():
