@@ -38,6 +38,8 @@ SCALES = 0.5, 2
 """The least and the greatest factor on all readings that can be stated or found."""
 DEEPEST = 0.15
 """Metres that readings may end behind, or before, the border of a wall, to be stated or found."""
+LOG_VOLUME = -13.4
+"""Logarithm of the share of a hypothesis in all poses of a place known to 2.5 m and 30 degrees."""
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Place = Annotated[float, Within(-FAR, FAR, "metres")]  #: x or y
@@ -360,8 +362,8 @@ class Trust(Checked):
     fine: Length = number("Trust.fine")
     #: log-odds that the true pose is none of the hypotheses: a constant, a weight per nat by which
     #: the best pose fits better than a building that is not on the map, less the nats against the
-    #: pose, and a weight per share of mass that the best pose lacks. A logistic regression, see
-    #: ``python -m tools.trust fit``
+    #: pose, and a weight per logarithm of the number of possible poses where these are few, as of a
+    #: place that is known: hardly any fits by chance. See ``python -m tools.trust fit``
     elsewhere: tuple[LogOdds, LogOdds, LogOdds] = number("Trust.elsewhere")
     #: greatest evidence, nats, that counts in the log-odds
     most: Nats = number("Trust.most")
@@ -387,21 +389,21 @@ class Trust(Checked):
         number = math.sqrt(max(1, readings) / 100)
         return Temperature(self.temperature, strain, number, max(1.0, cell / self.fine))
 
-    def mass_elsewhere(self, evidence: float, best: float) -> float:
+    def mass_elsewhere(self, evidence: float, log_volume: float = LOG_VOLUME) -> float:
         """Probability that the true pose is none of the hypotheses.
 
         `evidence` is by how many nats, divided by the temperature, the best pose fits better than
         a building on no map would, less what contradicts it: :attr:`imgloc.model.Evidence.net`.
-        `best` is its mass among the hypotheses, 0..1.
+        `log_volume` is the logarithm of the share of a hypothesis in all poses that are possible.
 
         Examples
         --------
-        >>> Trust().mass_elsewhere(20.0, 1.0) < 0.01, Trust().mass_elsewhere(-25.0, 0.2) > 0.5
+        >>> Trust().mass_elsewhere(20.0) < 0.01, Trust().mass_elsewhere(-25.0) > 0.5
         (True, True)
         """
-        constant, per_nat, per_share = self.elsewhere
+        constant, per_nat, per_log = self.elsewhere
         said = min(max(evidence, -self.most), self.most)
-        odds = constant + per_nat * said + per_share * (1 - best)
+        odds = constant + per_nat * said + per_log * min(0.0, LOG_VOLUME - log_volume)
         return 1 / (1 + math.exp(min(-odds, 700.0)))
 
 

@@ -29,7 +29,7 @@ from imgloc.likelihoods.stacks import Stack, held_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
 from imgloc.options import FUSED, Options, Shared
-from imgloc.search.adapt import THINNER, adapt, drawn_gain, drawn_walls
+from imgloc.search.adapt import THINNER, adapt, as_seen, drawn_gain, drawn_walls
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
 from imgloc.search.modes import Modes, lead, rivals, separate
@@ -300,7 +300,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     fused, start = options.fused, time.monotonic()
 
     def find(shared: Shared, floor: Floor | None = None, **how: Any) -> Modes:
-        there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
+        there, seen = as_seen(features, left_out(scan, floor), shared)
         left = options.left(time.monotonic() - start, shared=shared)
         return replace(find_modes(there, seen, left, **how), shared=shared, floor=floor)
 

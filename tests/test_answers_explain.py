@@ -129,8 +129,8 @@ def test_the_numbers_are_those_of_the_answer(method) -> None:
     assert [f.pose for f in why.fits] == [h.pose for h in answer.hypotheses]
     masses = [f.before * (1 - answer.elsewhere) for f in why.fits]
     np.testing.assert_allclose(masses, [h.mass for h in answer.hypotheses])
-    share = why.fits[0].before if method == "fused" else 0.0
-    assert options.trust.mass_elsewhere(answer.evidence.net, share) == pytest.approx(
+    evidence = answer.evidence
+    assert options.trust.mass_elsewhere(evidence.net, evidence.log_volume) == pytest.approx(
         answer.elsewhere
     )
     assert answer.evidence.misfit == pytest.approx(

@@ -28,7 +28,7 @@ LEFT = {
         "_OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
         " ALLOWED_ERROR _STEPS _MINUTE _FAR _erfc"
     ),
-    "a unit, a pattern, nothing at all": ("_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"),
+    "a unit, a pattern, nothing": "_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS LOG_VOLUME",
     "a promise": "SCALES SHARES DEEPEST TOLERANCES",
     "bounds of files, pictures, clocks": (
         "_SIDE _BARS _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"

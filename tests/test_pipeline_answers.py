@@ -15,6 +15,7 @@ from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import Calibration, Options, Prior, Sensor, Shared, Trust
 from imgloc.output.pages import svg  # with its filters
 from imgloc.pipeline import localize, prepare
+from imgloc.search.answer import log_volume
 from imgloc.search.stacked import posterior_of
 from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
@@ -140,6 +141,8 @@ def test_the_evidence_makes_the_masses(method):
     volume = np.pi * metres**2 * 2 * radians
     space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
     assert evidence.log_volume == pytest.approx(np.log(volume / space))
+    known = replace(options, prior=Prior(heading=(0.0, np.pi / 8)))
+    assert log_volume(features, known) == pytest.approx(np.log(8 * volume / space))
 
 
 def test_the_mounting_travels_with_the_answer():

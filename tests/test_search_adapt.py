@@ -232,6 +232,12 @@ def test_walls_that_are_too_thick_are_seen_as_such():
         assert (plain.evidence.thinner, plain.evidence.scale) == (0.0, 1.0)
 
 
+def test_walls_of_a_very_large_map_that_are_too_thick_are_seen_as_such(monkeypatch):
+    monkeypatch.setattr("imgloc.features.mapfeatures.PEELED_CELLS", 0)
+    for scan, pose in list(world()[1].with_poses())[1:]:
+        assert away(localize(MapFeatures(thick(world()[0])), scan), pose) < 0.08
+
+
 def test_no_more_cells_are_taken_off_than_allowed(monkeypatch):
     monkeypatch.setattr("imgloc.search.adapt.THINNEST", 1)
     assert localize(thick_features(), world()[1].scans[0]).evidence.thinner < 0.15

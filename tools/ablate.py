@@ -123,12 +123,8 @@ STEPS: Mapping[str, Step] = {
         weighs=True,
     ),
     "fine": Step("the cell of the map does not count", {"Trust.fine": 1e6}, weighs=True),
-    "evidence": Step(
-        "what fits well may be elsewhere, too", {"Trust.elsewhere": (-5.0, 0.0, 1.6)}, weighs=True
-    ),
-    "lead": Step(
-        "the mass of the best does not count", {"Trust.elsewhere": (-5.0, -0.235, 0.0)}, weighs=True
-    ),
+    "evidence": Step("fit does not count", {"Trust.elsewhere": (-3.0, 0.0, 0.0)}, weighs=True),
+    "poses": Step("poses do not count", {"Trust.elsewhere": (-1.0, -0.6, 0.0)}, weighs=True),
     "most": Step("evidence has no bound", {"Trust.most": 1e6}, weighs=True),
     "jackknife": Step(
         "covariances without blocks", instead={"search.covariance._jackknife": _no_blocks},

@@ -45,7 +45,8 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
-from imgloc.options import FUSED, EvidenceModel, Options
+from imgloc.options import FUSED, EvidenceModel, Options, Shared
+from imgloc.search.adapt import as_seen
 from imgloc.search.priors import pyramid_levels
 from imgloc.search.rescore import score_poses
 from imgloc.search.weigh import settle
@@ -151,8 +152,8 @@ def explain(
         raise ConfigError(f"answer: got that of another scan than {scan!r}, expected its own")
     options, said = options or Options(), answer.evidence
     # With the error that the answer has allowed for.
-    scan, grid = scan.scaled(said.scale), features.grid
-    features = features.thinner(round(said.thinner / grid.resolution))
+    grid, cell = features.grid, features.grid.resolution
+    features, scan = as_seen(features, scan, Shared(said.scale, round(said.thinner / cell)))
     options = replace(options, shared=replace(options.shared, bent=said.bent))
     local = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
     score = np.array([h.log_likelihood for h in local])

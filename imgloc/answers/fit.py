@@ -29,6 +29,7 @@ from imgloc.geometry import in_grid_frame, transform_points, transform_poses
 from imgloc.model import FloatArray, LaserScan, Pose2D, plain
 from imgloc.numbers import number
 from imgloc.options import Options, Prior, Shared
+from imgloc.search.adapt import as_seen
 from imgloc.search.priors import stands
 from imgloc.search.refine import FROM_CELLS, refine
 from imgloc.search.rescore import score_readings
@@ -96,8 +97,8 @@ def fit_at(
     expect(scan, LaserScan, "scan")
     shared = options.shared if shared is None else shared
     options = replace(options, shared=shared)
-    scan, grid = scan.scaled(shared.scale), features.grid
-    features = features.thinner(shared.thinner)
+    grid = features.grid
+    features, scan = as_seen(features, scan, shared)
     at = np.array([[*in_grid_frame(pose, grid)]])
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     if settle and len(readings):

@@ -33,7 +33,6 @@ from imgloc.model import LaserScan, Localization, plain
 from imgloc.numbers import number
 from imgloc.options import FUSED, NAMED, FusedOptions, Options, Trust
 from imgloc.pipeline import localize
-from imgloc.search.hypotheses import masses
 from imgloc.search.weigh import MODES
 
 OPTIONS = Options(top=MODES, fused=FusedOptions(strained=float("inf")))
@@ -304,8 +303,7 @@ def choose(
     lead = LEAD * said.readings / temperature
     other = np.exp(unknown_evidence(list(evidence.values()), lead) - top)
     # *elsewhere* depends on twins within one map. Twins in two maps count in the same way.
-    share = masses(np.array([h.log_likelihood for h in best.hypotheses]), temperature)
-    elsewhere = trust.mass_elsewhere(said.net, float(share[0]))
+    elsewhere = trust.mass_elsewhere(said.net, said.log_volume)
     weights *= (1 - elsewhere) / (weights.sum() + other)
     none = float(1 - weights.sum())
     probability = dict(zip(order, weights.tolist(), strict=True))

@@ -166,9 +166,9 @@ class MapFeatures(Checked):
         """Features of the same map with walls that lose so many cells on each side.
 
         Lines of one cell stay (:func:`~imgloc.features.distance.peeled`); what was wall is free.
-        They are kept as long as these features.
+        They are kept as long as these features. A very large map keeps its walls.
         """
-        if cells == 0:
+        if cells == 0 or not self.peels:
             return self
         if cells not in self._thinner:
             there = self.thinner(cells - 1)
@@ -183,6 +183,10 @@ class MapFeatures(Checked):
     @cached_property
     def _thinner(self) -> dict[int, "MapFeatures"]:
         return {}
+
+    def thicker(self, cells: int) -> float:
+        """Metres by which walls that should lose so many cells on each side stay too thick."""
+        return 0.0 if self.peels else cells * self.grid.resolution
 
     def ready(self, thinnest: int = 0) -> "MapFeatures":
         """Compute now what the default method may use, and return these features.

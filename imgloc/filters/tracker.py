@@ -452,7 +452,7 @@ class Tracker:
         mass = self._mass * np.exp(gain)
         if known:
             mass *= (1 - lost) / self._mass.sum()
-            unknown = self.options.trust.mass_elsewhere(float(gained.max()), 1.0)
+            unknown = self.options.trust.mass_elsewhere(float(gained.max()))
             gone = lost * min(np.exp(_MOST), unknown / (1 - unknown)) ** new
             # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
             # is sure of another place.
@@ -602,9 +602,8 @@ class Tracker:
         given = self._begun is not None and self._unique is None
         if given and seen.misfit[first:].min() > self.options.fused.strained:
             return 0.0
-        share = masses(log[first:], 1.0).max()
         gained = seen.gained - float(log.max() - log[first:].max())
-        elsewhere = self.options.trust.mass_elsewhere(gained, float(share))
+        elsewhere = self.options.trust.mass_elsewhere(gained)
         return min(float(np.exp(_MOST)), (1 - elsewhere) / elsewhere)
 
     def _follow(self, seen: Sight) -> tuple[IntArray, FloatArray]:
@@ -671,7 +670,7 @@ class Tracker:
             return
         log = seen.log_likelihood[new]
         share = masses(np.maximum((log - log.max()) * fresh, -self.how.drop), 1.0)
-        elsewhere = trust.mass_elsewhere(seen.gained, float(share.max()))
+        elsewhere = trust.mass_elsewhere(seen.gained)
         given = self._lost * (1 - elsewhere)
         if given < _NOTHING:
             return

@@ -253,7 +253,8 @@ def fit_shared(
         advance()
     sure = [answer.evidence for answer in found if answer.verdict == "unique"]
     _enough(len(sure), len(some))
-    cells = np.median([said.thinner for said in sure]) / features.grid.resolution
+    # Of a very large map, which keeps its walls, no thickness can be stated.
+    cells = features.peels * np.median([said.thinner for said in sure]) / features.grid.resolution
     shared = Shared(float(np.median([said.scale for said in sure])), round(float(cells)))
     for _ in range(2):
         left = [_left(features, scan, options, shared) for scan in some]

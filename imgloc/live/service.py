@@ -593,8 +593,6 @@ class Service:
         if "thinner" in given:
             given["thinner"] = round(given["thinner"] / grid.resolution)
         shared = replace(options.shared, **given)
-        if shared.thinner > 0 and not site.features.peels:
-            raise ConfigError("thinner: the map is too large to make its walls thinner, expected 0")
 
         def text() -> str:
             scan, pose = taken(scans[chosen[0]], values), values["pose"]

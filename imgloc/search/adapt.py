@@ -13,7 +13,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
-from imgloc.model import FloatArray
+from imgloc.model import FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import SCALES, FusedOptions, Options, Shared
 from imgloc.search.priors import standing
@@ -42,6 +42,17 @@ _DOUBT, _COUNTS = number("adapt.doubt")
 # walls were found to be too thick on each side.
 _AGAINST: tuple[float, float] = number("adapt.against")
 _PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many are used
+
+
+def as_seen(features: MapFeatures, scan: LaserScan, now: Shared) -> tuple[MapFeatures, LaserScan]:
+    """The map and a scan of it without an error that all readings share.
+
+    Where walls stay too thick, readings end that much nearer instead.
+    """
+    scan = scan.scaled(now.scale)
+    near = np.maximum(scan.ranges - features.thicker(now.thinner), scan.range_min)
+    near = np.where(scan.valid, near, scan.ranges)
+    return features.thinner(now.thinner), replace(scan, ranges=near)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,19 +292,17 @@ def adapt(
     fused = options.fused
     count, readings = len(readings), readings.spread(_READINGS)
 
-    def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
-        return score_readings(there, readings, poses, options.model)
-
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
-        there = features.thinner(thinner)
-        poses = refine(poses, readings.xy, there.field, sigmas=FROM_CELLS)
+        there, near = features.thinner(thinner), features.thicker(thinner - now.thinner)
+        seen = replace(readings, ranges=np.maximum(readings.ranges - near, 0.0))
+        poses = refine(poses, seen.xy, there.field, sigmas=FROM_CELLS)
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
         small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)
         small &= (scale >= SCALES[0]) & (scale <= SCALES[1])
         if not small.any():
             return float("-inf"), now
-        score = score_of(poses[small], there)
+        score = score_readings(there, seen, poses[small], options.model)
         k = int(score.argmax())
         return float(score[k]), replace(now, scale=float(scale[small][k]), thinner=thinner)
 
@@ -301,14 +310,12 @@ def adapt(
     found = best(_scaled(places), now.thinner)
     walls = float("-inf"), now
     for n in range(now.thinner + 1, THINNEST + 1):
-        if not features.peels:
-            break
         again = best(places, n)
         if again[0] <= walls[0]:
             break
         walls = again
     score, shared = max(found, walls, key=lambda one: one[0])
-    before = score_of(places[:1], features.thinner(now.thinner))
+    before = score_readings(features.thinner(now.thinner), readings, places[:1], options.model)
     gain = (score - before[0]) / len(readings)
     return shared if gain * count > fused.adapted else now
 

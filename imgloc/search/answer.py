@@ -11,6 +11,7 @@ from imgloc.model import LaserScan, Localization
 from imgloc.options import Options
 from imgloc.search.asked import effective
 from imgloc.search.hypotheses import as_hypotheses
+from imgloc.search.priors import on_lattice
 from imgloc.search.protection import protection
 from imgloc.search.trust import judge
 from imgloc.search.weigh import Weighed
@@ -24,9 +25,8 @@ def answered(
     `features` are those of the map, `found` has its poses in the grid frame. The answer has them in
     the map frame. `ms` is the wall time of the search, milliseconds.
     """
-    elsewhere = 1.0
-    if len(found.poses):
-        elsewhere = options.trust.mass_elsewhere(found.evidence.net, found.lead)
+    volume, net = log_volume(features, options), found.evidence.net
+    elsewhere = options.trust.mass_elsewhere(net, volume) if len(found.poses) else 1.0
     mass = (1 - elsewhere) * found.share
     alone = (1 - elsewhere) * found.alone
     weighed = options.prior.weights is not None or bool(options.prior.hints)
@@ -52,7 +52,7 @@ def answered(
         elsewhere=elsewhere,
         evidence=replace(
             found.evidence,
-            log_volume=log_volume(features, options),
+            log_volume=volume,
             checks=checks,
             found=len(mass),
             listed=len(hypotheses),
@@ -72,11 +72,13 @@ def answered(
 
 
 def log_volume(features: MapFeatures, options: Options) -> float:
-    """Logarithm of the volume of a hypothesis, as a share of that of all poses on the map.
+    """Logarithm of the volume of a hypothesis, as a share of that of all poses of the prior.
 
     All hypotheses have that of the poses that refinement takes for one. Their covariances are no
     measure of it: a bad fit is a wide one, and would count as many poses that fit.
     """
-    metres, radians = options.fused.same
-    space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
+    (metres, radians), prior = options.fused.same, options.prior
+    cells = max(1, int(on_lattice(prior, features.free, features.factor).sum()))
+    turn = np.pi if prior.heading is None else float(np.clip(prior.heading[1], radians, np.pi))
+    space = cells * features.lattice.resolution**2 * 2 * turn
     return float(np.log(2 * np.pi * metres**2 * radians / space))

@@ -36,10 +36,11 @@ _SMOOTH = number("faces.smooth")  # slope of the field below which its direction
 def depth_of(shared: Shared, features: MapFeatures) -> tuple[float, float]:
     """Mean and standard deviation, metres, of how deep in the walls of a map their faces are.
 
-    Walls with straight borders were drawn: their faces are the borders.
+    Walls with straight borders were drawn: their faces are the borders, unless they are thicker
+    than the real ones.
     """
-    depth = 0.0 if shared.depth is None and features.straight else shared.depth
-    return _DEPTH if depth is None else (depth, _KNOWN)
+    mean = 0.0 if features.straight else _DEPTH[0]
+    return (mean, _DEPTH[1]) if shared.depth is None else (shared.depth, _KNOWN)
 
 
 def any_depth() -> tuple[float, float]:

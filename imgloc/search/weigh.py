@@ -10,7 +10,7 @@ from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.model import Evidence, FloatArray, Floor, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
-from imgloc.search.adapt import price
+from imgloc.search.adapt import as_seen, price
 from imgloc.search.background import unmapped_score
 from imgloc.search.covariance import covariances
 from imgloc.search.faces import depth_of, on_faces
@@ -41,9 +41,6 @@ class Weighed:
     covariance: FloatArray  #: (L, 3, 3) covariances of the first L poses, at least those listed
     evidence: Evidence  #: how well the best pose fits; the answer adds the rest
     explained: float = 0.0  #: share of the valid rays that the best pose explains, 0..1
-    #: share of the best pose, 0..1, as evidence that the true pose is not elsewhere. It is 0 for a
-    #: stack, because votes also spread where walls are few.
-    lead: float = 0.0
     entropy: float | None = None  #: entropy of the whole posterior, nats; None without one
     complete: bool = True  #: the search came to its end
 
@@ -89,9 +86,7 @@ def weigh(
         lever = float(np.sqrt(np.mean(np.square(found.readings.ranges))))
         covariance = covariance + swept(scan.duration, lever, options)
         explained = explained_rays(features, scan, poses[:1], options, shared)
-    whole = found.complete
-    lead = float(alone[0])
-    return Weighed(poses, score, share, alone, covariance, fit, explained, lead, complete=whole)
+    return Weighed(poses, score, share, alone, covariance, fit, explained, complete=found.complete)
 
 
 def covariances_there(
@@ -198,7 +193,7 @@ def explained_rays(
     The `pose` (1, 3) is in the grid frame. The score uses one reading for each square of the plane.
     This share counts all recorded rays: if half of them hit the robot itself, it is at most 0.5.
     """
-    scan, there = scan.scaled(shared.scale), features.thinner(shared.thinner)
+    there, scan = as_seen(features, scan, shared)
     rays = Readings(scan.ranges[scan.valid], scan.angles[scan.valid])
     seen = score_poses(there, rays, pose, options.model)
     return float((seen.on_surface & ~seen.crossed).mean())

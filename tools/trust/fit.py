@@ -21,7 +21,9 @@ from imgloc.geometry import cell_of, pose_errors, transform_points, transform_po
 from imgloc.lab.evaluation import share
 from imgloc.model import BoolArray, FloatArray, inverse
 from imgloc.numbers import Origin, write
+from imgloc.options import LOG_VOLUME
 from imgloc.pipeline import find_adapted_modes
+from imgloc.search.answer import log_volume
 from imgloc.search.hypotheses import masses
 from imgloc.search.priors import prior_of
 from imgloc.search.trust import judge
@@ -60,6 +62,7 @@ class Case:
     gap: float  #: nats per reading by which the best mode beats a building on no map
     cell: float  #: of the map, metres
     against: float = 0.0  #: nats against the best mode, but for `gap`
+    log_volume: float = LOG_VOLUME  #: as :attr:`imgloc.model.Evidence.log_volume`
 
     def net(self, temperature: float) -> float:
         """Nats for the best mode, as :attr:`imgloc.model.Evidence.net`."""
@@ -98,7 +101,8 @@ def case_of(features: MapFeatures, asked: Asked) -> Case | None:
     against = gap * n / fit.temperature.value - fit.net
     misfit = fit.best - float(score[0]) / n
     condition = asked.row if asked.prior == WITHOUT else f"{asked.row}, {asked.prior}"
-    return Case(asked.building, condition, score, right, n, misfit, gap, cell, against)
+    volume = log_volume(features, options)
+    return Case(asked.building, condition, score, right, n, misfit, gap, cell, against, volume)
 
 
 def cases_of(questions: Questions) -> Iterator[Case]:
@@ -223,12 +227,12 @@ def _temperature_loss(cases: Sequence[Case], scale: FloatArray) -> float:
 
 
 def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
-    """(N, 3): one, nats for the best mode, mass that the best does not hold."""
+    """(N, 3): one, nats for the best mode, logarithm of the number of possible poses."""
     most = Trust().most
     rows = []
     for c in cases:
         T = _temperature(c, scale * (1, MARGIN))
-        rows.append((1.0, np.clip(c.net(T), -most, most), 1 - masses(c.score, T)[0]))
+        rows.append((1.0, np.clip(c.net(T), -most, most), min(0.0, LOG_VOLUME - c.log_volume)))
     return np.array(rows)
 
 
@@ -268,7 +272,7 @@ def conditions_table(cases: Sequence[Case], trust: Trust) -> str:
 def _judged(case: Case, trust: Trust) -> Judged:
     T = trust.temperature_at(case.misfit, case.readings, case.cell).value
     mass = masses(case.score, T)
-    elsewhere = trust.mass_elsewhere(case.net(T), float(mass[0]))
+    elsewhere = trust.mass_elsewhere(case.net(T), case.log_volume)
     mass = mass * (1 - elsewhere)
     verdict = judge(trust.readings, mass, elsewhere, trust)[0]
     told = mass >= LEAST
