@@ -4,11 +4,11 @@ It holds each pose against a filter of its own that never hears of it, and while
 sure against one scan on the whole map. It changes nothing.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import logit
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE
@@ -27,7 +27,7 @@ _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
 _LOOKS: tuple[int, int] = number("watch.looks")
 _CHANCE: float = number("watch.chance")
-_LEAD = -float(logit(_CHANCE))  # nats
+_LEAD = math.log1p(-_CHANCE) - math.log(_CHANCE)  # nats
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@
 """
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Annotated
 
 import numpy as np
-from scipy.special import ndtri
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError
@@ -20,6 +20,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import sample_motion
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import theta_bin, transform_poses, wrap
 from imgloc.lab.scanned import MASS, ScannedFilter, ScannedOptions
 from imgloc.model import FloatArray, IntArray, LaserScan, inverse
@@ -44,7 +45,7 @@ class ParticleOptions(ScannedOptions):
     #: factor by which the short mean may lie below the long one without a reset
     slack: Factor = number("ParticleOptions.slack")
     #: standard deviations of particles that are drawn again, metres and radians
-    jitter: tuple[Metres, Radians] = number("ParticleOptions.jitter")
+    jitter: tuple[Metres, Radians] = TrackerOptions.error
 
 
 def kld_bound(bins: int, error: float, quantile: float) -> int:
@@ -140,7 +141,9 @@ class ParticleFilter(ScannedFilter):
         how, rng = self.how, self._rng
         kept = self.poses[low_variance(self.weights, how.most, rng)]
         bins = len(first_in_cell(kept, *self.options.fused.separation))
-        n = int(np.clip(kld_bound(bins, how.error, ndtri(MASS[0])), how.least, how.most))
+        n = int(
+            np.clip(kld_bound(bins, how.error, NormalDist().inv_cdf(MASS[0])), how.least, how.most)
+        )
         anew = round(share * n)
         spread = np.array([how.jitter[0], how.jitter[0], how.jitter[1]])
         old = self.poses[low_variance(self.weights, n - anew, rng)]

@@ -191,7 +191,7 @@ def test_each_disturbance_is_named(shared: Path, tmp_path: Path, what: str, name
 
 
 def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> None:
-    right = recorded(shared, next(iter(LOGS)))
+    right = recorded(shared, next(iter(LOGS))).take(range(120))
     hanging = each(right, lambda s: s.flipped, 2)
     odd, both = ["two-lasers"], turned(2.0, 2)(hanging)
     cases = (right, []), (turned(math.pi, 2)(right), odd), (hanging, odd), (both, odd)
@@ -201,8 +201,6 @@ def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> 
         run = call("inspect", tmp_path / "log.npz", "--json", "--no-cache")
         assert codes(run) == found
         assert rows(run.out)[-1]["next"].startswith("imgloc track")
-        laser = odd_laser(replace(scans, scans=named), scans.odom)
-        assert (laser is not None) == bool(found)
         assert ("upside down" in run.out) == (scans in (hanging, both))
         assert ("--topic " in rows(run.out)[-1]["next"]) == bool(found)
     # Scans that agree with no other one say nothing of the place that they are from.

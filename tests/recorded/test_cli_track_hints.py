@@ -62,7 +62,7 @@ def scaled(by: float) -> Callable[[LaserScan], LaserScan]:
     ("change", "count", "said"),
     [
         (lambda s: s.flipped, 40, "the sensor hangs upside down. Try --flipped"),
-        (scaled(0.5), 28, "agree with the odometry, if ranges are multiplied by 2: "),
+        (scaled(0.5), 24, "agree with the odometry, if ranges are multiplied by 2: "),
     ],
 )  # fmt: skip
 def test_a_cause_is_named_and_its_remedy_helps(
@@ -105,7 +105,7 @@ def test_another_building_and_an_old_map_are_told_apart(
     shared: Path, whole: ScanSet, few: ScanSet, place: OccupancyGrid, tmp_path: Path
 ) -> None:
     other = imgloc.load_map(shared / "data" / "gh25" / "map.yaml", free_thresh=0.196)
-    (hint,) = hints(followed(other, few, tmp_path))
+    (hint,) = hints(followed(other, few.take(range(12)), tmp_path))
     assert hint.startswith("most scans do not fit this map: is it the map of this place?")
     rng = np.random.default_rng(1)
     occupied, free = place.occupied.copy(), place.free.copy()

@@ -20,7 +20,7 @@ def test_no_request_is_lost_and_the_service_ends() -> None:
 def test_clients_lose_nothing_beside_a_crowd() -> None:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        code = main(["--crowd", "3", "--map", "curved"])
+        code = main(["--crowd", "1.5", "--map", "curved"])
     said = out.getvalue()
     assert code == 0, said
     assert re.search(r"beside a crowd: \d+ requests, p50 .* p99 .*; 0 lost", said)

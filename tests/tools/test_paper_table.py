@@ -78,7 +78,7 @@ def test_a_gain_is_paired():
 
 def test_the_table_says_what_evaluate_says(curved):
     features, scans = place("curved", 3, 7)
-    for method in ("cbml-o", "ght-v", "beam"):
+    for method in ("ght-v", "beam"):
         summary, row = evaluate(features, scans, method_options(method)).summary, curved[method]
         index = row.bare or row.index  # `evaluate` tells of stacks as they are
         assert summary.index.value == pytest.approx(index.value, abs=1e-4)
@@ -95,7 +95,7 @@ def test_the_options_of_ght_v_change_its_votes():
 
 
 def test_threads_change_nothing_but_times():
-    rows = [table(2, 3, worlds=["curved"], methods=["ght-v", "beam"], threads=t) for t in (1, 3)]
+    rows = [table(2, 3, worlds=["curved"], methods=["ght-v", "cbml-o"], threads=t) for t in (1, 3)]
     one, three = ([replace(row, ms=()) for row in some] for some in rows)
     assert one == three
 

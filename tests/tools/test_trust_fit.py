@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ from tools.trust.fit import (
 from tools.trust.foreign import Asked
 
 
-def made(n=1200, seed=0):
+@cache
+def made(n=600, seed=0):
     """Cases whose true mode is drawn with the masses of a known temperature."""
     rng, out, true = np.random.default_rng(seed), [], Trust(temperature=4.0, strain=6.0)
     for k in range(n):
@@ -70,7 +72,7 @@ def test_what_is_fitted_is_written_with_its_command_and_data():
     sources, numbers = read(numbers_of(fit, text, "tools.trust fit", "2030-01-02", held=True))
     assert numbers["Trust.elsewhere"].value == (-2.0, -0.5, 1.23)
     assert sources["trust-fit"].date == "2030-01-02"
-    assert sources["trust-fit"].on == "3 buildings: 1200 cases, 1 conditions"
+    assert sources["trust-fit"].on == "3 buildings: 600 cases, 1 conditions"
     assert numbers["Trust.temperature"].value == Trust().temperature
     sources, numbers = read(numbers_of(fit, text, "tools.trust fit", "2030-01-02", held=False))
     assert (numbers["Trust.temperature"].value, numbers["Trust.strain"].value) == (3.0, 5.0)

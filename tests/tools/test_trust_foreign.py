@@ -10,6 +10,7 @@ from imgloc.model import Hypothesis, Localization, Pose2D
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.plans.drawing import building, true_world
+from tools.trust import foreign
 from tools.trust.__main__ import main
 from tools.trust.disturb import PRIORS, ROOMS, half_of
 from tools.trust.foreign import (
@@ -27,8 +28,16 @@ from tools.trust.racks import CELL, CHANGES, in_racks
 from tools.trust.things import PLACED, ROOM, THINGS
 
 
+@pytest.fixture(scope="module", autouse=True)
+def two_floors():
+    """Of each building, instead of four."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(foreign, "FLOORS", 2)
+        yield
+
+
 @pytest.fixture(scope="module")
-def floors():
+def floors(two_floors):
     return floors_of(3, 2)
 
 
@@ -104,9 +113,9 @@ def test_the_tool_prints_two_tables(capsys, tmp_path):
     places, named = capsys.readouterr().out.split("\n\n")
     for row in (*ROOMS, "own floor", "another floor", "mirrored plan"):
         assert (
-            f"| {row} | nothing known | {4 if 'floor' in row or 'plan' in row else 1} |" in places
+            f"| {row} | nothing known | {2 if 'floor' in row or 'plan' in row else 1} |" in places
         )
-    assert "| floors with the true one | 4 |" in named
+    assert "| floors with the true one | 2 |" in named
     assert main(["foreign", "-n", "0"]) == 2
 
 

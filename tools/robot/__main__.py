@@ -38,13 +38,8 @@ from typing import Any, TypeVar
 from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans
 from imgloc.io.maps import bundled_maps
 from imgloc.live.node import load_ros
-from tools.load import resident
-from tools.robot import restart as restarts
-from tools.robot import soak as soaks
-from tools.robot import watch as watches
 from tools.robot.kill import REINITIALIZE, kill_loop
 from tools.robot.listen import Listener
-from tools.robot.places import recorded
 from tools.robot.play import DISTURBED, FROZEN, WORLD, Player, Playing, to_and_fro, write_to
 from tools.script import at_least_one, ended, parser_of, table_lines
 
@@ -70,7 +65,9 @@ def main() -> int:
     play.add_argument("--lasers", type=int, choices=(1, 2), default=1)
     play.add_argument("--cloud", action="store_true", help="points instead of scans")
     play.add_argument("--best-effort", action="store_true")
-    play.add_argument("--disturb", choices=DISTURBED, default="", help="every other scan")
+    play.add_argument(
+        "--disturb", nargs="+", choices=DISTURBED, default=(), help="every other scan"
+    )
     play.add_argument("--freeze", choices=FROZEN, default="", help="of the first scan, repeated")
     play.add_argument("--amcl", type=Path, help="poses of AMCL, wrong once this file exists")
     play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
@@ -81,8 +78,8 @@ def main() -> int:
     play.add_argument("--write", type=Path, help="JSONL: index and stamp of each scan")
     listen.add_argument("--all", action="store_true", help="status, diagnostics, track too")
     listen.add_argument("--write", type=Path, help="JSONL, instead of standard output")
-    ask.add_argument("service", choices=("localize", "reset", REINITIALIZE))
-    walk.add_argument("transition", choices=TRANSITIONS)
+    ask.add_argument("services", nargs="+", choices=("localize", "reset", REINITIALIZE))
+    walk.add_argument("transitions", nargs="+", choices=TRANSITIONS)
     for one in (restart, watch, soaking):
         one.add_argument("folders", nargs="*", type=Path, help="with map.yaml and scans.npz")
         one.add_argument("--log", nargs=2, action="append", default=[],
@@ -159,23 +156,28 @@ def _spin(ros: Any, node: Any, done: Callable[[], bool]) -> int:
 
 def _ask(given: argparse.Namespace) -> int:
     ros, node = _node("asker")
-    empty = given.service == REINITIALIZE
-    kind = ros.std_srvs.Empty if empty else ros.std_srvs.Trigger
-    name = given.service if empty else f"imgloc/{given.service}"
-    answer, seconds = _call(ros, node, kind, name, kind.Request())
-    success, message = (True, "") if empty else (answer.success, answer.message)
-    print(json.dumps({"success": success, "message": message, "seconds": seconds}))
-    return 0 if success else 1
+    code = 0
+    for service in given.services:
+        empty = service == REINITIALIZE
+        kind = ros.std_srvs.Empty if empty else ros.std_srvs.Trigger
+        name = service if empty else f"imgloc/{service}"
+        answer, seconds = _call(ros, node, kind, name, kind.Request())
+        success, message = (True, "") if empty else (answer.success, answer.message)
+        print(json.dumps({"success": success, "message": message, "seconds": seconds}))
+        code |= not success
+    return code
 
 
 def _walk(given: argparse.Namespace) -> int:
     ros, node = _node("manager")
     kind = importlib.import_module("lifecycle_msgs.srv").ChangeState
-    request = kind.Request()
-    request.transition.id = TRANSITIONS[given.transition]
-    answer, seconds = _call(ros, node, kind, "imgloc/change_state", request)
-    print(json.dumps({"success": answer.success, "seconds": seconds}))
-    return 0 if answer.success else 1
+    request, code = kind.Request(), 0
+    for transition in given.transitions:
+        request.transition.id = TRANSITIONS[transition]
+        answer, seconds = _call(ros, node, kind, "imgloc/change_state", request)
+        print(json.dumps({"success": answer.success, "seconds": seconds}))
+        code |= not answer.success
+    return code
 
 
 def _call(ros: Any, node: Any, kind: Any, name: str, request: Any) -> tuple[Any, float]:
@@ -191,7 +193,13 @@ def _call(ros: Any, node: Any, kind: Any, name: str, request: Any) -> tuple[Any,
     return asked.result(), seconds
 
 
+# What judges takes a second to import, that those who play and ask need not wait.
+
+
 def _restart(given: argparse.Namespace) -> int:
+    from tools.robot import restart as restarts
+    from tools.robot.places import recorded
+
     at_least_one(n=given.n)
     places = recorded(given.folders, given.log)
     every = list(_until(given, restarts.starts(given.n, given.seed, places)))
@@ -209,6 +217,9 @@ def _until(given: argparse.Namespace, some: Iterable[T]) -> Iterator[T]:
 
 
 def _watch(given: argparse.Namespace) -> int:
+    from tools.robot import watch as watches
+    from tools.robot.places import recorded
+
     places, hours, said = recorded(given.folders, given.log), 0.0, Counter[str]()
     every = list(_until(given, watches.faults(given.n, given.seed, places)))
     print(*table_lines(watches.HEAD, watches.rows_of(every)), sep="\n", flush=True)
@@ -222,6 +233,10 @@ def _watch(given: argparse.Namespace) -> int:
 
 
 def _soak(given: argparse.Namespace) -> int:
+    from tools.load import resident
+    from tools.robot import soak as soaks
+    from tools.robot.places import recorded
+
     rows, held = dict[str, soaks.Soaked](), list[float]()
     for rows in _until(given, soaks.soak(given.seed, recorded(given.folders, given.log))):
         held.append(resident(os.getpid()))

@@ -34,7 +34,7 @@ class Playing:
     lasers: int = 1  #: two: the front half of each scan is a laser, the rear half another one
     cloud: bool = False  #: of points, on /points: walls, and a floor before them
     best_effort: bool = False
-    disturb: str = ""  #: one of `DISTURBED`
+    disturb: Sequence[str] = ()  #: some of `DISTURBED`, in turns
     freeze: str = ""  #: one of `FROZEN`
     clock: bool = False  #: the recorded stamps with a clock, not those of now
     first: int = 0  #: scan to begin with
@@ -144,7 +144,8 @@ class Player:
     def _step(self, k: int, scan: LaserScan, odom: FloatArray | None, stamp: float) -> None:
         whole = math.floor(stamp)
         at = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
-        wrong = self._how.disturb if k % 2 else ""
+        some = self._how.disturb
+        wrong = some[k // 2 % len(some)] if some and k % 2 else ""
         if self._clock is not None:
             publisher, kind = self._clock
             publisher.publish(fill(kind(), {"clock": at}))
