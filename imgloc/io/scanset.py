@@ -378,6 +378,9 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
         expected = "angles, or angle_min with angle_increment or angle_max, in radians"
         raise ScanError(f"{where}: angles: missing, expected {expected}")
     if step is None:
+        if last == first and count > 1:
+            expected = f"another one than angle_min: there are {count} readings"
+            raise wrong(f"{where}: angle_max", f"{last:g}", expected)
         return np.linspace(first, last or 0.0, count)
     angles = first + np.arange(count, dtype=np.float64) * step
     # Drivers disagree on whether angle_max is the last ray or the one after it.

@@ -41,6 +41,11 @@ NAMES = {
     "start_angle": "angle_min", "end_angle": "angle_max", "distances": "ranges",  # of Foxglove
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
+LASERS = (
+    "laser", "lidar", "sensor", "scanner", "source", "device", "frame", "link", "channel", "topic",
+    "name", "robot", "capteur", "sensore",
+)  # fmt: skip
+"""What a field is called that names one of several lasers, beside frame_id."""
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
 _NO = r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(?:ind|qnan)\d*"
 _WORDS = re.compile(rf"{_NO}|(\+?(?:∞|1\.#inf\d*|unendlich|infini(?:to)?))")  # of programs, people
@@ -143,9 +148,14 @@ def _listed(whole: Any) -> list[Any]:
         stamps = whole.pop("stamps", None) or [None] * len(ranges)
         pairs = zip(ranges, stamps, strict=False)
         return [{**whole, "ranges": row, "stamp": stamp} for row, stamp in pairs]
-    lists = [v for v in whole.values() if isinstance(v, list)] if isinstance(whole, dict) else []
-    inside = [v for v in lists if v and all(isinstance(item, dict) for item in v)]
-    return inside[0] if len(inside) == 1 and "ranges" not in whole else [whole]
+    named = whole.items() if isinstance(whole, dict) else ()
+    lists = {key: value for key, value in named if isinstance(value, list) and value}
+    inside = {key: v for key, v in lists.items() if all(isinstance(item, dict) for item in v)}
+    if not inside or "ranges" in whole:
+        return [whole]
+    if len(inside) == 1:
+        return next(iter(inside.values()))
+    return [{"laser": key, **item} for key, items in inside.items() for item in items]
 
 
 def unwrapped(entry: Any, where: str = "scan") -> tuple[Any, str | None]:
@@ -182,7 +192,7 @@ def unwrapped(entry: Any, where: str = "scan") -> tuple[Any, str | None]:
                 plain.pop(key, None)
     elif stamp is not None and "stamp" not in plain:
         plain["stamp"] = _seconds(stamp)
-    return plain, None
+    return plain, plain["topic"] if isinstance(plain.get("topic"), str) else None
 
 
 def _turned(plain: Mapping[str, Any], pose: FloatArray, where: str) -> dict[str, Any]:
@@ -335,7 +345,9 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in spelled)
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = None if stamp is None else scalar(stamp, f"{where}: stamp")
-    plain["laser"] = entry.get("laser", header.get("frame_id", ""))
+    named = {**entry, **header}
+    names = (named[key] for key in ("frame_id", *LASERS) if isinstance(named.get(key), str | int))
+    plain["laser"] = entry.get("laser", next((str(name) for name in names), ""))
     for key in _POSES:
         if isinstance(entry.get(key), dict):
             plain[key] = [entry[key].get(k) for k in ("x", "y", "theta")]
