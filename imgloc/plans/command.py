@@ -10,7 +10,7 @@ from imgloc.errors import ConfigError, MapError, as_options
 from imgloc.io.files import display, is_file
 from imgloc.options import PlanWalls
 from imgloc.pose import Pose2D
-from imgloc.ranges import OneOf, Within, check_of, option
+from imgloc.ranges import OneOf, Within, option, require
 from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
@@ -207,9 +207,7 @@ def _scale(
             "--resolution, metres a pixel, or --distance: two points and the metres between them"
         )
     scale = resolution or measured_resolution(distance or (), *size)
-    check = check_of(PlanScale)
-    if check is not None and (refused := check(scale)) is not None:
-        raise ConfigError(f"--distance: got {scale:g}, expected {refused[1]}")
+    require(PlanScale, scale, "--distance")
     return scale
 
 
