@@ -1,6 +1,7 @@
-"""The program: its commands with their examples, and their groups."""
+"""The program: its commands, and their groups."""
 
 import functools
+import inspect
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -52,157 +53,38 @@ def root(
     """Options of the program itself."""
 
 
-#: The commands: the first sentence of each, by which all are listed, and examples.
-_COMMANDS: Mapping[str, tuple[str, ...]] = {
-    "demo": (
-        "Simulate a scan in a bundled map, localize it, draw the answer.",
-        "imgloc demo",
-        "imgloc demo --map corridor --seed 4",
-    ),
-    "inspect": (
-        "Look at a log or a map before it is used, and name what is wrong with it.",
-        "imgloc inspect run.log",
-        "imgloc inspect office.yaml run.bag --picture run.png",
-        "imgloc inspect office.yaml monday.log tuesday.log.gz --json",
-    ),
-    "convert": (
-        "Write the scans of any log as CSV, JSON lines, NPZ or MCAP.",
-        "imgloc convert run.bag scans.npz",
-        "imgloc convert run.log scans.csv --range-scale 0.001",
-        "imgloc convert scans.csv run.mcap --scans-index ::10",
-    ),
-    "localize": (
-        "Find the pose of each scan in a map, without an initial guess.",
-        "imgloc localize office.yaml scans.npz",
-        "imgloc localize office.yaml scans.npz --scans-index 3 --picture answer.png",
-        "imgloc localize office.yaml run.log --scans-index 7,100:120 --explain why.html",
-        "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
-        "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
-        "imgloc localize office.yaml - < scan.csv",
-        "imgloc localize office.yaml scans.npz --json --strict > answers.jsonl",
-        "imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5",
-    ),
-    "simulate": (
-        "Simulate scans at random free poses of a map.",
-        "imgloc simulate office.yaml -n 100 --out scans.npz",
-        "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
-    ),
-    "evaluate": (
-        "Measure methods on scans whose poses are known: simulated at random, or recorded.",
-        "imgloc evaluate curved visibility large --method cbml,cbml-o,ght,ght-v,beam",
-        "imgloc evaluate office.yaml -n 50 --method fused --range-max 10 --tolerance 0.3,10",
-        "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
-        "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --method fused,ght-v",
-        "imgloc evaluate curved --method ght,ght-v --theta-step-deg 10 --cell 0.2",
-    ),
-    "calibrate": (
-        "Fit the methods to a map, or with --scans the map's scale and walls to recorded scans.",
-        "imgloc calibrate office.yaml",
-        "imgloc calibrate office.yaml --method ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
-        "imgloc calibrate floor1.yaml floor2.yaml -n 15 --json",
-        "imgloc calibrate curved visibility --dry-run",
-    ),
-    "sample": (
-        "Draw poses from the calibrated posterior p(x | z) of each scan.",
-        "imgloc sample office.yaml scans.npz --out particles.csv",
-        "imgloc sample office.yaml scans.npz --scans-index 3 -n 2000 --seed 7 --out a.csv",
-    ),
-    "atlas": (
-        "Draw where on this map, for this lidar, a single scan is enough.",
-        "imgloc atlas office.yaml --out atlas.png",
-        "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
-        "imgloc atlas visibility --out atlas.png --range-max 5 --json",
-    ),
-    "batch": (
-        "Run one job on every pair of map and scan file: one row each.",
-        "imgloc batch floors --job check --out checked",
-        "imgloc batch floors scans --out found --pictures doubtful",
-        "imgloc batch floors scans --job which --out named --workers 8",
-        "imgloc batch pairs.csv --out found --resume",
-        "imgloc batch images scans --resolution 0.05 --out found --dask tcp://10.0.0.5:8786",
-    ),
-    "report": (
-        "Write one page about a batch: verdicts, errors, times, maps, failures, pictures.",
-        "imgloc report found",
-        "imgloc report found --out site.html",
-    ),
-    "export": (
-        "Write the results of a batch as one table, a row for each scan.",
-        "imgloc export found",
-        "imgloc export found --out answers.parquet",
-    ),
-    "track": (
-        "Follow a robot through a log of scans with odometry, from anywhere on the map.",
-        "imgloc track office.yaml run.log --tum out.tum --picture track.png",
-        "imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl",
-        "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
-        "imgloc track office.yaml log.npz --video out.webm",
-    ),
-    "node": (
-        "Run a ROS 2 node that finds the robot on the map and publishes its first pose.",
-        "imgloc node",
-        "imgloc node office.yaml --sensor 0.2,0,0 --track",
-        "imgloc node floors --scan front --scan rear --sensor 0.3,0,0 --sensor -0.3,0,180deg",
-        "imgloc node office.yaml --sensor 0,0,0 --ros-args -p use_sim_time:=true",
-    ),
-    "which": (
-        "Say which of the maps in a folder each scan is from: one of them, none, or undecided.",
-        "imgloc which floors scans.npz",
-        "imgloc which floors scan.csv --range-max 20 --heading 90deg --json",
-        "imgloc which sites --maps-index sites.npz",
-        "imgloc which sites scans.npz --maps-index sites.npz --picture where.png",
-    ),
-    "serve": (
-        "Answer over HTTP: where scans are, from which map; and a page at / that shows why.",
-        "imgloc serve office.yaml",
-        "imgloc serve floors --port 8080 --threads 4",
-        "curl -X POST -T scans.npz 'http://127.0.0.1:8080/v1/localize?index=3'",
-        "IMGLOC_TOKEN=... imgloc serve office.yaml --host 0.0.0.0",
-    ),
-    "open": (
-        "Look at a map and scans in the browser: answers in place, and why.",
-        "imgloc open office.yaml",
-        "imgloc open office.yaml scans.npz",
-    ),
+#: The commands: the first sentence of each, by which all are listed.
+_COMMANDS: Mapping[str, str] = {
+    "demo": "Simulate a scan in a bundled map, localize it, draw the answer.",
+    "inspect": "Look at a log or a map before it is used, and name what is wrong with it.",
+    "convert": "Write the scans of any log as CSV, JSON lines, NPZ or MCAP.",
+    "localize": "Find the pose of each scan in a map, without an initial guess.",
+    "simulate": "Simulate scans at random free poses of a map.",
+    "evaluate": "Measure methods on scans whose poses are known: simulated at random, or recorded.",
+    "calibrate": "Fit the methods to a map, or with --scans the map's scale and walls to recorded "
+    "scans.",
+    "sample": "Draw poses from the calibrated posterior p(x | z) of each scan.",
+    "atlas": "Draw where on this map, for this lidar, a single scan is enough.",
+    "batch": "Run one job on every pair of map and scan file: one row each.",
+    "report": "Write one page about a batch: verdicts, errors, times, maps, failures, pictures.",
+    "export": "Write the results of a batch as one table, a row for each scan.",
+    "track": "Follow a robot through a log of scans with odometry, from anywhere on the map.",
+    "node": "Run a ROS 2 node that finds the robot on the map and publishes its first pose.",
+    "which": "Say which of the maps in a folder each scan is from: one of them, none, or "
+    "undecided.",
+    "serve": "Answer over HTTP: where scans are, from which map; and a page at / that shows why.",
+    "open": "Look at a map and scans in the browser: answers in place, and why.",
 }
-_MAP: Mapping[str, tuple[str, ...]] = {
-    "check": (
-        "Report what is in a map, and what is likely to be wrong with it.",
-        "imgloc map check office.yaml",
-        "imgloc map check a.yaml --json",
-        "imgloc map check office.png --resolution 0.05 --negate --write office-read.yaml",
-    ),
-    "show": (
-        "Draw a map, or what is computed from it, into a PNG.",
-        "imgloc map show office.yaml --out office-view.png",
-        "imgloc map show office.yaml --what surface --out normals.png",
-        "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
-        "imgloc map show office.yaml --what likelihood --scans scan.csv --out where.png",
-    ),
-    "align": (
-        "Find where map B lies in the frame of map A, and how well the two agree.",
-        "imgloc map align office.yaml office-new.yaml --picture both.png",
-        "imgloc map align new.yaml old.yaml --move waypoints.csv --out waypoints-new.csv",
-        "imgloc map align a.yaml b.yaml --scans run.bag --json",
-        "imgloc map align a.yaml drawing.yaml --scale --write drawing-in-a.yaml",
-    ),
-    "changes": (
-        "Find where a map has aged: walls that rays pass (gone), surfaces where it has none (new).",
-        "imgloc map changes office.yaml run.log --out aged.png",
-        "imgloc map changes office.yaml monday.bag tuesday.bag --update office-mended.yaml",
-        "imgloc map changes office.yaml scans.npz --range-max 20 --json",
-    ),
-    "plan": (
-        "Make a map of a floor plan: walls as they stand, doors open, nothing else.",
-        "imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png",
-        "imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml",
-    ),
+_MAP: Mapping[str, str] = {
+    "check": "Report what is in a map, and what is likely to be wrong with it.",
+    "show": "Draw a map, or what is computed from it, into a PNG.",
+    "align": "Find where map B lies in the frame of map A, and how well the two agree.",
+    "changes": "Find where a map has aged: walls that rays pass (gone), surfaces where it has none "
+    "(new).",
+    "plan": "Make a map of a floor plan: walls as they stand, doors open, nothing else.",
 }
-_CACHE: Mapping[str, tuple[str, ...]] = {
-    "clear": (
-        "Remove all prepared maps; they are prepared anew when they are needed.",
-        "imgloc cache clear",
-    ),
+_CACHE: Mapping[str, str] = {
+    "clear": "Remove all prepared maps; they are prepared anew when they are needed.",
 }
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
@@ -219,6 +101,19 @@ def command_of(name: str) -> Callable[..., None]:
     file = f"imgloc.cli.{_FILES.get(name, name)}"
     found: Callable[..., None] = opened(COMMANDS.get(name, f"{file}:{name}"))
     return found
+
+
+def told(name: str) -> tuple[str, list[str]]:
+    """The help of a command, and the examples below it, as its docstring has them.
+
+    Examples
+    --------
+    >>> told("clear")[1]
+    ['imgloc cache clear']
+    """
+    text = inspect.cleandoc(command_of(name).__doc__ or "")
+    about, _, lines = text.partition("\n\nExamples\n--------\n")
+    return about, lines.splitlines()
 
 
 def examples(*lines: str, more: str = "") -> str:
@@ -260,14 +155,16 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
         return command(command_of(name), *shared)
 
     for group, commands in _GROUPS.items():
-        for name, (about, *lines) in commands.items():
+        for name, first in commands.items():
             if (run := made(name)) is _unmade:
-                groups[group].command(name, help=about)(run)
+                groups[group].command(name, help=first)(run)
                 continue
+            about, lines = told(name)
             # The file of a command may have a class of its own, and what comes before examples.
             file = sys.modules[run.__module__]
             kind, more = getattr(file, "RosCommand", Command), getattr(file, "FORMATS", "")
-            groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
+            epilog = examples(*lines, more=more)
+            groups[group].command(name, cls=kind, help=about, epilog=epilog)(run)
     app = groups[""]
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(with_options_of_program(root, *shared))
     app.add_typer(

@@ -32,7 +32,12 @@ def cache(context: typer.Context, kept: Folder, as_json: opt.AsJson = False) -> 
 
 
 def clear(kept: Folder) -> None:
-    """Remove all prepared maps; they are prepared anew when they are needed."""
+    """Remove all prepared maps; they are prepared anew when they are needed.
+
+    Examples
+    --------
+    imgloc cache clear
+    """
     from imgloc.io.cache import cache_info, clear_cache
 
     before, removed = cache_info(kept.cache), clear_cache(kept.cache)

@@ -85,6 +85,17 @@ def localize(
     Verdicts: unique (one pose holds nearly all of the mass), ambiguous (several fit), no-match (the
     best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
+
+    Examples
+    --------
+    imgloc localize office.yaml scans.npz
+    imgloc localize office.yaml scans.npz --scans-index 3 --picture answer.png
+    imgloc localize office.yaml run.log --scans-index 7,100:120 --explain why.html
+    imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0
+    imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg
+    imgloc localize office.yaml - < scan.csv
+    imgloc localize office.yaml scans.npz --json --strict > answers.jsonl
+    imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5
     """
     from imgloc.cli import inputs
     from imgloc.runs.localize import Localize

@@ -89,6 +89,11 @@ def plan(
     Walls may be filled, two lines, hatched, or single thick lines. Door swings, text, furniture,
     stairs, dimensions and thin lines are taken away, and what is outside becomes unknown. The
     building is the largest space within walls: frames, titles and legends are not part of it.
+
+    Examples
+    --------
+    imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png
+    imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml
     """
     from imgloc.cli import inputs
     from imgloc.io.maps import save_map
