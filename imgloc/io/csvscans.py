@@ -75,6 +75,7 @@ _ROLES = (
 _COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
 _BELOW = re.compile(r"[1-9]\d\d([.,]\d+)?")  # a thousand
 _ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a half
+_LONG = 200  # characters that no name of a column has
 _SAMPLE = 10_000  # cells that show how numbers are spelled
 _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
 # How a cell with a list begins.
@@ -271,6 +272,8 @@ def role_of(name: str) -> Role:
 
     It is ``ranges`` for a column of a scan a line, empty if the name is no hint.
     """
+    if len(name) > _LONG:
+        return "", 0, 1.0
     name = _ENDS.sub(lambda found: NAMES[found[0]], name.lower())
     if found := _RANGES.fullmatch(name):
         return "ranges", int(found[2]), 1.0
@@ -584,7 +587,7 @@ class _Table:
         """The scans of a table with a reading a line."""
         which = next((key for key in ("scan", "stamp", "time") if key in by), None)
         if not self.rows:
-            keys = ("angle", "range", which or "", "seconds", "nanoseconds", "laser")
+            keys = [*filter(None, ("angle", "range", which, "seconds", "nanoseconds", "laser"))]
             used = [by[key] for key in keys if key in by]
             self._parse(used, [role for role, _, _ in roles], by.get("laser"))
         self.bad.check(len(self.rows))

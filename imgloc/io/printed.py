@@ -11,6 +11,7 @@ _BOX = str.maketrans("│┃║┆╎", "|||||")
 _RULE = re.compile(
     r"[-+|:=\s\u2500-\u257f]*(--|\u2500|\u2501|\u2550)[-+|:=\s\u2500-\u257f]*"
     r"|[(\[]\d+ rows?\b.*|\d+ rows? in set.*|\w+ *="
+    r"|[|\s]*(<?(dbl|int|double|float|varchar|str|[fiu](32|64))>?([|\s]+|$))+"
 )
 # MATLAB and Octave have a line before rows that go on, R has numbers in front, or above.
 _BLOCK = re.compile(
