@@ -51,6 +51,7 @@ for _magic in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
 # Formats that people do try, for the message only.
 _OTHERS = {b"GIF8": "GIF", b"%PDF": "PDF", b"<svg": "SVG", b"<?xm": "XML or SVG"}
 _OTHERS |= {b"PK\3\4": "zip", b"imag": "YAML", b"<!DO": "a page of the web",
+            b"AC10": "DWG: save it as DXF", b"\x1f\x8b": "gzip: unpack it",
             b"version https://git-lfs": "a pointer of Git LFS: git lfs pull"}  # fmt: skip
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
 _PNG_END = (0, b"IEND", b"\xaeB`\x82")  # length, name, checksum

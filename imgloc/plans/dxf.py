@@ -1,6 +1,7 @@
 """DXF as strokes: ezdxf unfolds blocks, layers, dashes and widths, as if it drew the model."""
 
 import io
+import logging
 from collections import Counter
 from collections.abc import Iterable
 from functools import cache
@@ -16,7 +17,7 @@ from ezdxf.addons.drawing.properties import RenderContext
 from ezdxf.audit import AuditError
 from ezdxf.document import Drawing as Drawn
 from ezdxf.entities.acis import Body
-from ezdxf.entities.dxfentity import DXFTagStorage
+from ezdxf.entities.dxfentity import DXFEntity, DXFTagStorage
 from ezdxf.entities.dxfgfx import DXFGraphic
 from ezdxf.entities.insert import Insert
 from ezdxf.lldxf.const import DXFError
@@ -26,6 +27,7 @@ from imgloc.errors import MapError
 from imgloc.plans.drawn import role_of
 from imgloc.plans.vectors import DEEP, UNITS, Drawing, Stroke, bounded, drawn
 
+logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # what it mends is no news
 _LINES = 3_000_000  # of a DXF as text, which takes half a minute; a large floor has 200,000
 _FINE = 0.003  # of its size, that a line may stay away from its curve
 _DRAWN = {
@@ -50,17 +52,26 @@ def read_dxf(data: bytes) -> Drawing:
         document, audit = recover.read(io.BytesIO(data))
         bounded(_unfold_to(document))
         pen, context = _Pen(), RenderContext(document, ctb=new_ctb())  # whichever it names
-        model = _Unfolded(context, pen, _HOW)
-        model.draw_layout(document.modelspace())
+        _Unfolded(context, pen, _HOW).draw_layout(document.modelspace())
+        bodies = Counter(filter(None, map(_undrawn, document.entitydb.values())))
     except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
         raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
     files = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
     lacks = [f"references to {', '.join(files[:3])}, which is not in it: bind it"] if files else []
     absent = sum(fix.code == AuditError.UNDEFINED_BLOCK for fix in audit.fixes)
     lacks += [f"{absent} INSERT of blocks that are not in it: bind them"] if absent else []
-    lacks += [f"{n} {what}: explode them to lines" for what, n in model.bodies.items()]
+    lacks += [f"{n} {what}: explode them to lines" for what, n in bodies.items()]
+    if not pen.strokes and any(len(s) > 1 for s in document.layouts if s.is_any_paperspace):
+        lacks.append("a layout: draw the floor in the model")
     unit = UNITS.get(document.header.get("$INSUNITS", 0))
     return Drawing(pen.strokes, (unit,) if unit else (), missing=tuple(lacks))
+
+
+def _undrawn(entity: DXFEntity) -> str:
+    """Name and layer of a solid, or of an object of another program, that may be a wall."""
+    about = entity.graphic_properties() if isinstance(entity, Body | DXFTagStorage) else {}
+    layer = str(about.get("layer", "0"))
+    return f"{entity.dxftype()} on {layer}" * (bool(about) and role_of(layer) in ("", "wall"))
 
 
 def _unfold_to(document: Drawn) -> int:
@@ -93,18 +104,9 @@ def _unfold_to(document: Drawn) -> int:
 class _Unfolded(Frontend):
     """A model, block by block."""
 
-    def __init__(self, *how: Any) -> None:
-        super().__init__(*how)
-        self.bodies = Counter[str]()  #: solids, and objects of other programs, by their layers
-
     def draw_entities(self, entities: Iterable[DXFGraphic], **_: Any) -> None:
         """Draw what may be a part of a building."""
-        every = list(entities)
-        self.bodies.update(
-            f"{e.dxftype()} on {e.dxf.layer}" for e in every
-            if isinstance(e, Body | DXFTagStorage) and role_of(e.dxf.layer) in ("", "wall")
-        )  # fmt: skip
-        some = (e for e in every if e.dxftype() in _DRAWN)
+        some = (e for e in entities if e.dxftype() in _DRAWN)
         # Blocks on layers that are off are left out as a whole.
         off = {name for name, layer in self.ctx.layers.items() if not layer.is_visible}
         super().draw_entities(

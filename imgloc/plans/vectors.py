@@ -302,7 +302,8 @@ def _pdf(data: bytes) -> Drawing:
             bounded(len(strokes))
     except pypdfium2.PdfiumError as error:
         raise MapError(f"it cannot be read as PDF: {error}") from None
-    return Drawing(strokes, _stated(_MM["pt"] / 1000, texts), page=True)
+    lacks = () if strokes else ("images or text: save it as PNG, of which maps are made, too",)
+    return Drawing(strokes, _stated(_MM["pt"] / 1000, texts), page=True, missing=lacks)
 
 
 def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
