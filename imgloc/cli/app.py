@@ -3,6 +3,7 @@
 import functools
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -15,24 +16,6 @@ from imgloc.cli.console import Group, Subgroup, emit
 from imgloc.doors import COMMANDS, opened
 
 _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-
-_EXAMPLES = (
-    "imgloc demo",
-    "imgloc map check office.yaml",
-    "imgloc localize office.yaml scans.npz --picture answer.png",
-    "imgloc simulate office.yaml -n 100 --out scans.npz",
-    "imgloc localize office.yaml scans.npz --json > answers.jsonl",
-)
-_CACHED = "Show where prepared maps are kept, how many there are and what they take."
-_CACHES = ("imgloc cache", "imgloc cache --json", "imgloc cache clear")
-_HELP = """Where am I on this map?
-
-Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
-whether to trust it.
-
-Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps or
-items failed, 6 not unique (with --strict), 130 interrupted by Ctrl-C.
-"""
 
 
 def _version(wanted: bool) -> None:
@@ -50,7 +33,22 @@ def root(
     ),
     debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
 ) -> None:
-    """Options of the program itself."""
+    """Where am I on this map?
+
+    Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and
+    whether to trust it.
+
+    Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps or
+    items failed, 6 not unique (with --strict), 130 interrupted by Ctrl-C.
+
+    Examples
+    --------
+    imgloc demo
+    imgloc map check office.yaml
+    imgloc localize office.yaml scans.npz --picture answer.png
+    imgloc simulate office.yaml -n 100 --out scans.npz
+    imgloc localize office.yaml scans.npz --json > answers.jsonl
+    """  # noqa: D400
 
 
 #: The commands: the first sentence of each, by which all are listed.
@@ -86,6 +84,7 @@ _MAP: Mapping[str, str] = {
 _CACHE: Mapping[str, str] = {
     "clear": "Remove all prepared maps; they are prepared anew when they are needed.",
 }
+_CACHED = "Show where prepared maps are kept, how many there are and what they take."
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
@@ -103,23 +102,19 @@ def command_of(name: str) -> Callable[..., None]:
     return found
 
 
-def told(name: str) -> tuple[str, list[str]]:
-    """The help of a command, and the examples below it, as its docstring has them.
+def told(function: Callable[..., None]) -> dict[str, Any]:
+    r"""The help of a command and what is below it, as Typer takes them, of its docstring.
 
     Examples
     --------
-    >>> told("clear")[1]
-    ['imgloc cache clear']
+    >>> told(command_of("clear"))["epilog"]
+    '\x08\nExamples:\n  imgloc cache clear'
     """
-    text = inspect.cleandoc(command_of(name).__doc__ or "")
-    about, _, lines = text.partition("\n\nExamples\n--------\n")
-    return about, lines.splitlines()
-
-
-def examples(*lines: str, more: str = "") -> str:
-    """Format examples for the end of a help text, one a line, and `more` before, as it is."""
-    text = "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
-    return (f"\b\n{more.strip()}\n\n" if more else "") + text
+    about, *parts = re.split(r"\n\n(\w+)\n-+\n", inspect.cleandoc(function.__doc__ or ""))
+    more = dict(zip(parts[::2], parts[1::2], strict=True))
+    lines = more.get("Examples", "").replace("\n", "\n  ")
+    formats = f"\b\n{more['Formats']}\n\n" if "Formats" in more else ""
+    return {"help": about, "epilog": f"{formats}\b\nExamples:\n  {lines}"}
 
 
 def program(words: Iterable[str] | None = None) -> typer.Typer:
@@ -159,18 +154,16 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             if (run := made(name)) is _unmade:
                 groups[group].command(name, help=first)(run)
                 continue
-            about, lines = told(name)
-            # The file of a command may have a class of its own, and what comes before examples.
-            file = sys.modules[run.__module__]
-            kind, more = getattr(file, "RosCommand", Command), getattr(file, "FORMATS", "")
-            epilog = examples(*lines, more=more)
-            groups[group].command(name, cls=kind, help=about, epilog=epilog)(run)
+            # The file of a command may have a class of its own.
+            kind = getattr(sys.modules[run.__module__], "RosCommand", Command)
+            groups[group].command(name, cls=kind, **told(run))(run)
     app = groups[""]
-    app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(with_options_of_program(root, *shared))
+    app.callback(**told(root))(with_options_of_program(root, *shared))
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."
     )
-    groups["cache"].callback(help=_CACHED, epilog=examples(*_CACHES))(made("cache"))
+    run = made("cache")
+    groups["cache"].callback(**({"help": _CACHED} if run is _unmade else told(run)))(run)
     app.add_typer(groups["cache"], name="cache")
     return app
 
