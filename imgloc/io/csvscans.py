@@ -317,10 +317,7 @@ class _Table:
         roles = [role_of(name) for name in names]
         by = {role: i for i, (role, _, _) in reversed(list(enumerate(roles))) if role != "ranges"}
         ranges = [i for _, i in sorted((r[1], i) for i, r in enumerate(roles) if r[0] == "ranges")]
-        of = dict.fromkeys(names[i][: names[i].rindex("range")] for i in ranges)
-        if len(of) > 1:
-            found = f"ranges of several lasers: {', '.join(of)}"
-            raise ScanError(f"{self.name}: {found}; expected the columns of one")
+        self._refuse_lasers([names[i][: names[i].rindex("range")] for i in ranges])
         if "range" in by and "angle" not in by and "theta" in by and "x" not in by:
             by["angle"] = by.pop("theta")
         if "laser" in by and "angle" in by and "range" not in by:
@@ -336,8 +333,7 @@ class _Table:
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2], names)
         if not ranges:
-            aside = [i for i, r in enumerate(roles) if r[0] or not names[i]]
-            ranges = [i for i in range(len(names)) if i not in aside]
+            ranges = [i for i, (role, *_) in enumerate(roles) if names[i] and not role]
             if {"x", "y"} <= by.keys() and all(names[i][:1] == "z" for i in ranges):
                 raise ScanError(f"{self.name}: columns {', '.join(names)}{_POINTS}")
             if names and not ranges:
@@ -378,6 +374,12 @@ class _Table:
             said |= {"ranges": values, "stamp": stamp, "laser": laser, **more}
             entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
+
+    def _refuse_lasers(self, names: Sequence[str]) -> None:
+        """ScanError for ranges of several lasers, by what stands before the name of each."""
+        if len(of := dict.fromkeys(names)) > 1:
+            found = f"ranges of several lasers: {', '.join(of)}"
+            raise ScanError(f"{self.name}: {found}; expected the columns of one")
 
     def _by_contents(self, names: Sequence[str], fov: float | None) -> ScanSet | None:
         """The scans of columns without names, or with those of a language that is not known."""

@@ -41,10 +41,7 @@ NAMES = {
     "start_angle": "angle_min", "end_angle": "angle_max", "distances": "ranges",  # of Foxglove
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
-LASERS = (
-    "laser", "lidar", "sensor", "scanner", "source", "device", "frame", "link", "channel", "topic",
-    "name", "robot", "capteur", "sensore",
-)  # fmt: skip
+LASERS = ("laser", "lidar", "sensor", "scanner", "source", "device", "frame", "link", "topic")
 """What a field is called that names one of several lasers, beside frame_id."""
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
 _NO = r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(?:ind|qnan)\d*"
@@ -148,14 +145,9 @@ def _listed(whole: Any) -> list[Any]:
         stamps = whole.pop("stamps", None) or [None] * len(ranges)
         pairs = zip(ranges, stamps, strict=False)
         return [{**whole, "ranges": row, "stamp": stamp} for row, stamp in pairs]
-    named = whole.items() if isinstance(whole, dict) else ()
-    lists = {key: value for key, value in named if isinstance(value, list) and value}
-    inside = {key: v for key, v in lists.items() if all(isinstance(item, dict) for item in v)}
-    if not inside or "ranges" in whole:
-        return [whole]
-    if len(inside) == 1:
-        return next(iter(inside.values()))
-    return [{"laser": key, **item} for key, items in inside.items() for item in items]
+    lists = [v for v in whole.values() if isinstance(v, list)] if isinstance(whole, dict) else []
+    inside = [v for v in lists if v and all(isinstance(item, dict) for item in v)]
+    return inside[0] if len(inside) == 1 and "ranges" not in whole else [whole]
 
 
 def unwrapped(entry: Any, where: str = "scan") -> tuple[Any, str | None]:

@@ -165,7 +165,16 @@ class Sheet:
         return np.asarray((out > 0) & (wide < _PILLARS)[labels])
 
     def crosses(self, line: FloatArray, walls: BoolArray) -> bool:
-        """Return whether a straight line goes through walls, from room to room, as an axis does."""
+        """Return whether a straight line goes through walls, from room to room, as an axis does.
+
+        Examples
+        --------
+        >>> sheet = Sheet(np.zeros(2), 0.1, 1, (20, 100), 1.0)
+        >>> walls = np.zeros((20, 100), bool)
+        >>> walls[:, 48:52] = True
+        >>> [sheet.crosses(np.array([(1.0, 1.0), (x, 1.0)]), walls) for x in (5.0, 9.0)]
+        [False, True]
+        """
         long = float(np.hypot(*(line[-1] - line[0]))) * self.unit
         if len(line) > 2 or long < 2 * building.PIECE:
             return False
@@ -194,20 +203,14 @@ def drawing_to_maps(
     roles = _roles(drawing.strokes, walls)
     leaves = doors_of(drawing.strokes, roles)
     unit, said = (resolution, "as given") if resolution else unit_of(drawing, leaves, roles)
-
-    def fits(door: Door, scale: float) -> bool:
-        return LEAVES[0] < door.width * scale < LEAVES[1]
-
-    apart = [d for d in leaves if not fits(d, unit)]
-    other = sum(any(fits(d, u) for u, _ in drawing.units if drawing.page) for d in apart)
-    leaves = [d for d in leaves if fits(d, unit)]
+    other = sum(not _fit([d], unit) and any(_fit([d], u) for u, _ in drawing.units) for d in leaves)
+    leaves = _fit(leaves, unit)
     part = _parts_of_doors(drawing.strokes, roles, leaves)
     roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
     best, box = list[Floor](), np.inf
+    pairs = [(s, role) for s, role in zip(drawing.strokes, roles, strict=True) if not s.dashed]
     for taken in (("wall", "window"), ("wall", "window", "")):
-        some = [
-            s for s, r in zip(drawing.strokes, roles, strict=True) if r in taken and not s.dashed
-        ]
+        some = [s for s, role in pairs if role in taken]
         if not some or (walls and "" in taken):
             continue
         if sum(f.area for f in best) * cell**2 > _COVERED * box:
@@ -244,12 +247,10 @@ def drawing_to_maps(
             (not resolution and drawing.page and not _USUAL[0] < usual < _USUAL[1],
              f"its doors are {usual:.2f} m wide, half of them less: is its scale right, {said}?"),
             (plan.single > _SINGLE,
-             f"{plan.single:.0%} of its walls are single lines, so rooms are too large by half of "
-             "a wall on each such side"),
+             f"{plan.single:.0%} of its walls are single lines: rooms are half a wall too large"),
             (bool(floor.leaves) and plan.doorless > _COURT * plan.free_area,
-             f"{plan.doorless:.0f} m2 have no door and no opening: a courtyard, or a door was not "
-             "found"),
-            (not resolution and other > 1,
+             f"{plan.doorless:.0f} m2 have no door: a courtyard, or a door that was not found"),
+            (drawing.page and not resolution and other > 1,
              f"{other} doors fit another scale that is written on it: a part of it has that one, "
              f"and is not right at {said}; make a map of each part by `resolution`"),
             (floor.guessed,
@@ -258,6 +259,11 @@ def drawing_to_maps(
         )  # fmt: skip
         plans.append(replace(plan, signs=tuple(text for sign, text in signs if sign)))
     return plans
+
+
+def _fit(leaves: Sequence[Door], unit: float) -> list[Door]:
+    """Those of the leaves that are as wide as doors are."""
+    return [d for d in leaves if LEAVES[0] < d.width * unit < LEAVES[1]]
 
 
 def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:

@@ -88,7 +88,16 @@ def read_drawing(path: Path) -> Drawing:
 
 
 def clipped(stroke: Stroke, box: FloatArray) -> Iterator[Stroke]:
-    """The parts of a stroke that are in a box, (2, 2) its low and its high corner."""
+    """The parts of a stroke that are in a box, (2, 2) its low and its high corner.
+
+    Examples
+    --------
+    >>> line = Stroke(np.array([(-1.0, 0.5), (3.0, 0.5)]), "WALL")
+    >>> [part.points.tolist() for part in clipped(line, np.array([(0, 0), (2, 1)]))]
+    [[[0.0, 0.5], [2.0, 0.5]]]
+    >>> list(clipped(line, np.array([(0, 0.6), (2, 1)])))
+    []
+    """
     if (stroke.points >= box[0]).all() and (stroke.points <= box[1]).all():
         yield stroke
     elif (box[0] < box[1]).all():
@@ -105,9 +114,8 @@ def clipped(stroke: Stroke, box: FloatArray) -> Iterator[Stroke]:
 def _within(box: FloatArray, points: Sequence[Any]) -> FloatArray:
     """A box, cut to that around some points; all of it without points."""
     around = np.array([(p[0], p[1]) for p in points] or box)
-    return np.array(
-        [np.maximum(box[0], around.min(axis=0)), np.minimum(box[1], around.max(axis=0))]
-    )
+    low, high = around.min(axis=0), around.max(axis=0)
+    return np.array([np.maximum(box[0], low), np.minimum(box[1], high)])
 
 
 def drawn(points: FloatArray) -> bool:
@@ -161,7 +169,7 @@ def _svg(data: bytes) -> Drawing:
         e, matrix, layer, style, path, box = waiting.pop()
         count += 1
         bounded(max(count, len(strokes)))
-        tag = str(e.tag).rpartition("}")[2]
+        tag = _tag(e)
         style = style | dict(e.attrib)
         classes = [f".{name}" for name in e.get("class", "").split()]
         for name in ("*", tag, *classes, f"#{e.get('id', '')}"):
@@ -175,7 +183,10 @@ def _svg(data: bytes) -> Drawing:
         try:
             matrix = Matrix(e.get("transform", "")) * matrix
             clip = known.get(style.pop("clip-path", "").partition("#")[2].rstrip(")\"' "), ())
-            box = _within(box, [p for part in clip for p in _outline(part, matrix)])
+            line = {"fill": "none", "stroke": "black"}
+            ways = [(part, Matrix(part.get("transform", "")) * matrix) for part in clip]
+            cut = [s for part, at in ways for s in _shaped(part, _tag(part), at, "", line)]
+            box = _within(box, [point for s in cut for point in s.points])
             label = next((v for k, v in e.items() if k.endswith("}label")), e.get("id", ""))
             if tag in ("g", "svg", "a", "symbol", "switch"):
                 layer = f"{label} / {layer}" if layer and label else layer or label
@@ -214,8 +225,7 @@ def _paper(root: Any) -> float:
 def _styles(sheet: str) -> dict[str, dict[str, str]]:
     """Properties by `tag`, `.class` and `#id`, the last part of each selector."""
     out = dict[str, dict[str, str]]()
-    first, *others = sheet.split("/*")  # comments
-    for rule in (first + " ".join(c.partition("*/")[2] for c in others)).split("}"):
+    for rule in re.sub(r"(?s)/\*.*?(\*/|$)", " ", sheet).split("}"):  # without comments
         selectors, _, rules = rule.rpartition("{")
         for selector in selectors.split(","):
             if last := re.search(r"([.#]?[\w-]+|\*)$", selector.rstrip()[-99:]):
@@ -249,13 +259,8 @@ def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) ->
         yield Stroke(points, layer, filled, dashed, wide)
 
 
-def _outline(e: Any, matrix: Any) -> Iterator[FloatArray]:
-    """The points of a shape that others are cut to."""
-    from svgelements import Matrix
-
-    place, tag = Matrix(e.get("transform", "")) * matrix, str(e.tag).rpartition("}")[2]
-    for stroke in _shaped(e, tag, place, "", {"fill": "none", "stroke": "black"}):
-        yield from stroke.points
+def _tag(e: Any) -> str:
+    return str(e.tag).rpartition("}")[2]
 
 
 def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:

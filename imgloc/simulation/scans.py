@@ -64,7 +64,6 @@ def simulate(
     """
     expect(grid, OccupancyGrid, "grid")
     sensor = sensor or Sensor()
-    expect(sensor, Sensor, "sensor")
     require(Annotated[int, Within(1, MAX_READINGS // sensor.rays, "scans")], n, "n")
     require(Seed, seed, "seed")
     angles = ray_angles(sensor.rays, sensor.fov)
