@@ -20,7 +20,7 @@ OTHERS: Mapping[str, Mapping[str, str]] = json.loads(
 )
 """What files are that people take for maps or for scans, and what makes such of them.
 
-By the endings of their names, or, of texts, by patterns of how they begin.
+By the endings of their names; of images by how they begin, of texts by patterns of that.
 """
 COPIES: dict[str, str] = {}
 """Addresses of what was copied onto this machine, see :mod:`imgloc.io.remote`, by the copy."""

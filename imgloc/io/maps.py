@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from imgloc.errors import ConfigError, MapError, expect
+from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import (
     OTHERS,
     PathLike,
@@ -329,7 +329,6 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
     force : bool
         Overwrite files that exist, otherwise an OutputError.
     """
-    expect(grid, OccupancyGrid, "grid")
     target = Path(path_yaml)
     if target.suffix.lower() not in YAML_ENDINGS:
         raise ConfigError(f"{display(path_yaml)}: expected a name that ends in .yaml")

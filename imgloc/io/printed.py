@@ -22,7 +22,6 @@ _ROW = re.compile(r"\[\d+,\] +")
 _ARRAY = re.compile(r"(?i)(?:Out *\[\d+\]:|\w+ *=) *(\[|(np\.)?array|tensor|$)")
 _FACTOR = re.compile(r"\d\.0*e[-+]\d+ *\*", re.IGNORECASE)
 _LEFT_OUT = re.compile(r"(?<![^\s,\[|])(\.{2,3}|[…⋮])(?![^\s,\]|])")
-_WRAPPED = re.compile(r"\S +\\")
 _BRACKETS = re.compile(
     r"(?i)(?:Out *\[\d+\]: *|\w+ *= *)?(?:(?:np\.)?array\(|tensor\()?('\w', *)?"
     r"(?P<rows>\[[-+.\s\[\]\deinfa,]*\])"
@@ -62,7 +61,7 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
             raise ScanError(f"{where}: it was printed shortened, with dots for numbers: {_WHOLE}")
         if _FACTOR.fullmatch(text):
             raise ScanError(f"{where}: it was printed with four digits and a factor: {_WHOLE}")
-        if text.endswith("\\") and _WRAPPED.search(text):
+        if text.endswith("\\") and re.search(r"\S +\\$", text):
             raise ScanError(f"{where}: it was printed in pieces, one below the other: {_WHOLE}")
     arrays = [where for where, text in lines if _ARRAY.match(text)]
     if len(arrays) > 1:

@@ -162,7 +162,7 @@ def _svg(data: bytes) -> Drawing:
     sheets = " ".join("".join(e.itertext()) for e in root.iter() if str(e.tag).endswith("style"))
     styles = _styles(sheets[:1_000_000])
     known = {e.get("id"): e for e in root.iter() if e.get("id")}
-    strokes, texts, count = list[Stroke](), list[str](), 0
+    strokes, texts, cuts, count = list[Stroke](), list[str](), dict[tuple[str, str], Any](), 0
     waiting: list[tuple[Any, Any, str, dict[str, str], tuple[str, ...], FloatArray]]
     waiting = [(root, Matrix("scale(1,-1)"), "", {}, (), _ALL)]
     while waiting:
@@ -182,11 +182,12 @@ def _svg(data: bytes) -> Drawing:
             continue
         try:
             matrix = Matrix(e.get("transform", "")) * matrix
-            clip = known.get(style.pop("clip-path", "").partition("#")[2].rstrip(")\"' "), ())
-            line = {"fill": "none", "stroke": "black"}
-            ways = [(part, Matrix(part.get("transform", "")) * matrix) for part in clip]
-            cut = [s for part, at in ways for s in _shaped(part, _tag(part), at, "", line)]
-            box = _within(box, [point for s in cut for point in s.points])
+            key = style.pop("clip-path", "").partition("#")[2].rstrip(")\"' "), str(matrix)
+            if key[0] in known:
+                if key not in cuts:
+                    cuts[key] = [point for s in _cut(known[key[0]], matrix) for point in s.points]
+                    count += len(cuts[key])
+                box = _within(box, cuts[key])
             label = next((v for k, v in e.items() if k.endswith("}label")), e.get("id", ""))
             if tag in ("g", "svg", "a", "symbol", "switch"):
                 layer = f"{label} / {layer}" if layer and label else layer or label
@@ -257,6 +258,15 @@ def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) ->
     dashed = style.get("stroke-dasharray", "none") not in ("none", "0", "")
     for points in _ways(shape, matrix):
         yield Stroke(points, layer, filled, dashed, wide)
+
+
+def _cut(clip: Any, matrix: Any) -> Iterator[Stroke]:
+    """The lines of what others are cut to."""
+    from svgelements import Matrix
+
+    for part in clip:
+        at = Matrix(part.get("transform", "")) * matrix
+        yield from _shaped(part, _tag(part), at, "", {"fill": "none", "stroke": "black"})
 
 
 def _tag(e: Any) -> str:
