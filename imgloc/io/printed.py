@@ -54,8 +54,7 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
     >>> unprinted([("", "[]")]), unprinted([("", "Column 1,angle,range")])
     ([], [('', 'Column 1,angle,range')])
     """
-    if any(not text.isascii() for _, text in lines):
-        lines = [(where, text.translate(_BOX)) for where, text in lines]
+    lines = [(where, text.translate(_BOX)) for where, text in lines]
     for where, text in lines:
         if (".." in text or not text.isascii()) and _LEFT_OUT.search(text):
             raise ScanError(f"{where}: it was printed shortened, with dots for numbers: {_WHOLE}")

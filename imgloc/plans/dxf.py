@@ -28,6 +28,8 @@ from imgloc.plans.drawn import role_of
 from imgloc.plans.vectors import DEEP, UNITS, Drawing, Stroke, bounded, drawn
 
 logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # what it mends is no news
+# Whatever ezdxf makes of a damaged file.
+_ODD = DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError
 _LINES = 3_000_000  # of a DXF as text, which takes half a minute; a large floor has 200,000
 _FINE = 0.003  # of its size, that a line may stay away from its curve
 _DRAWN = {
@@ -54,7 +56,7 @@ def read_dxf(data: bytes) -> Drawing:
         pen, context = _Pen(), RenderContext(document, ctb=new_ctb())  # whichever it names
         _Unfolded(context, pen, _HOW).draw_layout(document.modelspace())
         bodies = Counter(filter(None, map(_undrawn, document.entitydb.values())))
-    except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+    except _ODD as error:
         raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
     files = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
     lacks = [f"references to {', '.join(files[:3])}, which is not in it: bind it"] if files else []
