@@ -131,8 +131,6 @@ def which(
     'invalid'
     """
     expect(maps, Mapping, "maps")
-    for name, features in maps.items():
-        expect(features, MapFeatures, f"maps[{name!r}]")
     options = options or OPTIONS
     bounds = partial(bounds_at, index_of(maps), [1.0] * len(maps), options=options)
     (fits,) = search([scan], maps, bounds, lambda name: nullcontext((maps[name], options)))
