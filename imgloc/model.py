@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from imgloc.equality import ByContent
 from imgloc.errors import ConfigError
-from imgloc.pose import DEGREES
+from imgloc.pose import DEGREES, pose_of
 from imgloc.pose import MOST_TURNED as MOST_TURNED
 from imgloc.pose import MOUNTED as MOUNTED
 from imgloc.pose import Pose2D as Pose2D
@@ -158,6 +158,7 @@ class OccupancyGrid(ByContent):
             raise ValueError(f"cell [{row}, {column}] is both occupied and free")
         if not np.isfinite(self.resolution) or self.resolution <= 0:
             raise ValueError(f"resolution must be positive, got {self.resolution}")
+        object.__setattr__(self, "origin", pose_of(self.origin, "origin"))
         if not np.isfinite([*self.origin]).all():
             raise ValueError(f"origin must be finite metres and a yaw, got {self.origin}")
 
@@ -245,7 +246,8 @@ class LaserScan(ByContent):
             i = int(np.abs(self.angles).argmax())
             raise ConfigError(f"angles[{i}]: got {self.angles[i]:g}, {DEGREES}")
         if self.T_base_laser is not None:
-            check_mount(self.T_base_laser, "T_base_laser")
+            object.__setattr__(self, "T_base_laser", pose_of(self.T_base_laser, "T_base_laser"))
+            check_mount(self.mount, "T_base_laser")
         if not self.duration <= LONGEST_SWEEP:
             seconds = f"{self.time_increment} makes a sweep of {self.duration:g} s"
             raise ValueError(f"time_increment {seconds}, expected at most {LONGEST_SWEEP:g} s")

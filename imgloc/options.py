@@ -870,7 +870,7 @@ class Sensor(Checked):
     sensor on the robot.
     """
 
-    rays: Count = option(181, "Rays of a simulated scan.")
+    rays: Annotated[int, Within(1, 100_000, "")] = option(181, "Rays of a simulated scan.")
     fov: View = option(math.pi, "Angle that a simulated scan covers, degrees.", "--fov-deg")
     sigma: Annotated[float, Within(0, 10, "metres")] = option(
         0.02, "Standard deviation of the noise of a simulated reading, metres."

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 from imgloc.errors import ConfigError
 
@@ -56,6 +56,21 @@ def wrapped_pose(x: float, y: float, theta: float) -> Pose2D:
     0.5
     """
     return Pose2D(x, y, math.remainder(theta, math.tau))
+
+
+def pose_of(value: Any, name: str) -> Pose2D:
+    """Return a pose as it is given: a pose, or its x, y and theta; `name` is for the ConfigError.
+
+    Examples
+    --------
+    >>> pose_of((0.2, 0.0, 0.0), "T_base_laser")
+    Pose2D(x=0.2, y=0.0, theta=0.0)
+    """
+    try:
+        return value if isinstance(value, Pose2D) else Pose2D(*value)
+    except (TypeError, ValueError):
+        expected = "a Pose2D, or x, y, theta: metres, metres, radians"
+        raise ConfigError(f"{name}: got {value!r:.60}, expected {expected}") from None
 
 
 def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:

@@ -312,6 +312,21 @@ class Checked:
                 raise ConfigError(f"{kind.__name__}.{key}{at}: {got}")
 
 
+def require(hint: Any, value: Any, name: str) -> None:
+    """Raise a ConfigError, by the name of a value, where its annotation does not allow it.
+
+    Examples
+    --------
+    >>> require(Annotated[int, Within(1, 9, "scans")], 0, "n")
+    Traceback (most recent call last):
+        ...
+    imgloc.errors.ConfigError: n: got 0, expected a whole number, scans, 1 to 9
+    """
+    check = check_of(hint)
+    if check is not None and (refused := check(value)) is not None:
+        raise ConfigError(f"{name}{refused[0]}: got {value!r:.60}, expected {refused[1]}")
+
+
 #: Where in a value, and what was expected there; None where all is as it should be.
 Refused = tuple[str, object] | None
 Check = Callable[[Any], Refused]

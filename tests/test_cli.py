@@ -37,7 +37,7 @@ scans = simulating(MAPS / "curved.yaml", "-n", 40, "--rays", 40)
 
 @pytest.mark.parametrize("name", [name for group in app._GROUPS.values() for name in group])
 def test_a_command_is_listed_by_its_first_sentence(name: str) -> None:
-    about, *_ = (app._COMMANDS | app._MAP | app._CACHE)[name]
+    about = (app._COMMANDS | app._MAP | app._CACHE)[name]
     assert " ".join((app.command_of(name).__doc__ or "").split()).startswith(about)
 
 

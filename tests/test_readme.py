@@ -150,10 +150,10 @@ def test_the_lines_that_convert_a_log_make_scans_of_it(tmp_path: Path, monkeypat
 
 SLOW = {"node", "serve", "open", "evaluate", "calibrate", "plan", "clear"}
 """Commands that wait for others, take minutes, or need a drawing; these examples only parse."""
+_EXAMPLE = r"^  (imgloc (?!.*(?:\.bag|dask|\.gz|--job check)).*)"
 EXAMPLES = {
-    name: [line for line in lines if not re.search(r"\.bag|dask|\.gz|--job check", line)]
-    for commands_ in (app._COMMANDS, app._MAP)
-    for name, (_, *lines) in commands_.items()
+    name: re.findall(_EXAMPLE, app.told(app.command_of(name))["epilog"], re.MULTILINE)
+    for name in app._COMMANDS | app._MAP
     if name not in SLOW
 }
 

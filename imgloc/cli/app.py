@@ -1,7 +1,9 @@
-"""The program: its commands with their examples, and their groups."""
+"""The program: its commands, and their groups."""
 
 import functools
+import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -14,24 +16,6 @@ from imgloc.cli.console import Group, Subgroup, emit
 from imgloc.doors import COMMANDS, opened
 
 _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-
-_EXAMPLES = (
-    "imgloc demo",
-    "imgloc map check office.yaml",
-    "imgloc localize office.yaml scans.npz --picture answer.png",
-    "imgloc simulate office.yaml -n 100 --out scans.npz",
-    "imgloc localize office.yaml scans.npz --json > answers.jsonl",
-)
-_CACHED = "Show where prepared maps are kept, how many there are and what they take."
-_CACHES = ("imgloc cache", "imgloc cache --json", "imgloc cache clear")
-_HELP = """Where am I on this map?
-
-Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
-whether to trust it.
-
-Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps or
-items failed, 6 not unique (with --strict), 130 interrupted by Ctrl-C.
-"""
 
 
 def _version(wanted: bool) -> None:
@@ -49,161 +33,58 @@ def root(
     ),
     debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
 ) -> None:
-    """Options of the program itself."""
+    """Where am I on this map?
+
+    Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and
+    whether to trust it.
+
+    Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps or
+    items failed, 6 not unique (with --strict), 130 interrupted by Ctrl-C.
+
+    Examples
+    --------
+    imgloc demo
+    imgloc map check office.yaml
+    imgloc localize office.yaml scans.npz --picture answer.png
+    imgloc simulate office.yaml -n 100 --out scans.npz
+    imgloc localize office.yaml scans.npz --json > answers.jsonl
+    """  # noqa: D400
 
 
-#: The commands: the first sentence of each, by which all are listed, and examples.
-_COMMANDS: Mapping[str, tuple[str, ...]] = {
-    "demo": (
-        "Simulate a scan in a bundled map, localize it, draw the answer.",
-        "imgloc demo",
-        "imgloc demo --map corridor --seed 4",
-    ),
-    "inspect": (
-        "Look at a log or a map before it is used, and name what is wrong with it.",
-        "imgloc inspect run.log",
-        "imgloc inspect office.yaml run.bag --picture run.png",
-        "imgloc inspect office.yaml monday.log tuesday.log.gz --json",
-    ),
-    "convert": (
-        "Write the scans of any log as CSV, JSON lines, NPZ or MCAP.",
-        "imgloc convert run.bag scans.npz",
-        "imgloc convert run.log scans.csv --range-scale 0.001",
-        "imgloc convert scans.csv run.mcap --scans-index ::10",
-    ),
-    "localize": (
-        "Find the pose of each scan in a map, without an initial guess.",
-        "imgloc localize office.yaml scans.npz",
-        "imgloc localize office.yaml scans.npz --scans-index 3 --picture answer.png",
-        "imgloc localize office.yaml run.log --scans-index 7,100:120 --explain why.html",
-        "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
-        "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
-        "imgloc localize office.yaml - < scan.csv",
-        "imgloc localize office.yaml scans.npz --json --strict > answers.jsonl",
-        "imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5",
-    ),
-    "simulate": (
-        "Simulate scans at random free poses of a map.",
-        "imgloc simulate office.yaml -n 100 --out scans.npz",
-        "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
-    ),
-    "evaluate": (
-        "Measure methods on scans whose poses are known: simulated at random, or recorded.",
-        "imgloc evaluate curved visibility large --method cbml,cbml-o,ght,ght-v,beam",
-        "imgloc evaluate office.yaml -n 50 --method fused --range-max 10 --tolerance 0.3,10",
-        "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
-        "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --method fused,ght-v",
-        "imgloc evaluate curved --method ght,ght-v --theta-step-deg 10 --cell 0.2",
-    ),
-    "calibrate": (
-        "Fit the methods to a map, or with --scans the map's scale and walls to recorded scans.",
-        "imgloc calibrate office.yaml",
-        "imgloc calibrate office.yaml --method ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
-        "imgloc calibrate floor1.yaml floor2.yaml -n 15 --json",
-        "imgloc calibrate curved visibility --dry-run",
-    ),
-    "sample": (
-        "Draw poses from the calibrated posterior p(x | z) of each scan.",
-        "imgloc sample office.yaml scans.npz --out particles.csv",
-        "imgloc sample office.yaml scans.npz --scans-index 3 -n 2000 --seed 7 --out a.csv",
-    ),
-    "atlas": (
-        "Draw where on this map, for this lidar, a single scan is enough.",
-        "imgloc atlas office.yaml --out atlas.png",
-        "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
-        "imgloc atlas visibility --out atlas.png --range-max 5 --json",
-    ),
-    "batch": (
-        "Run one job on every pair of map and scan file: one row each.",
-        "imgloc batch floors --job check --out checked",
-        "imgloc batch floors scans --out found --pictures doubtful",
-        "imgloc batch floors scans --job which --out named --workers 8",
-        "imgloc batch pairs.csv --out found --resume",
-        "imgloc batch images scans --resolution 0.05 --out found --dask tcp://10.0.0.5:8786",
-    ),
-    "report": (
-        "Write one page about a batch: verdicts, errors, times, maps, failures, pictures.",
-        "imgloc report found",
-        "imgloc report found --out site.html",
-    ),
-    "export": (
-        "Write the results of a batch as one table, a row for each scan.",
-        "imgloc export found",
-        "imgloc export found --out answers.parquet",
-    ),
-    "track": (
-        "Follow a robot through a log of scans with odometry, from anywhere on the map.",
-        "imgloc track office.yaml run.log --tum out.tum --picture track.png",
-        "imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl",
-        "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
-        "imgloc track office.yaml log.npz --video out.webm",
-    ),
-    "node": (
-        "Run a ROS 2 node that finds the robot on the map and publishes its first pose.",
-        "imgloc node",
-        "imgloc node office.yaml --sensor 0.2,0,0 --track",
-        "imgloc node floors --scan front --scan rear --sensor 0.3,0,0 --sensor -0.3,0,180deg",
-        "imgloc node office.yaml --sensor 0,0,0 --ros-args -p use_sim_time:=true",
-    ),
-    "which": (
-        "Say which of the maps in a folder each scan is from: one of them, none, or undecided.",
-        "imgloc which floors scans.npz",
-        "imgloc which floors scan.csv --range-max 20 --heading 90deg --json",
-        "imgloc which sites --maps-index sites.npz",
-        "imgloc which sites scans.npz --maps-index sites.npz --picture where.png",
-    ),
-    "serve": (
-        "Answer over HTTP: where scans are, from which map; and a page at / that shows why.",
-        "imgloc serve office.yaml",
-        "imgloc serve floors --port 8080 --threads 4",
-        "curl -X POST -T scans.npz 'http://127.0.0.1:8080/v1/localize?index=3'",
-        "IMGLOC_TOKEN=... imgloc serve office.yaml --host 0.0.0.0",
-    ),
-    "open": (
-        "Look at a map and scans in the browser: answers in place, and why.",
-        "imgloc open office.yaml",
-        "imgloc open office.yaml scans.npz",
-    ),
+#: The commands: the first sentence of each, by which all are listed.
+_COMMANDS: Mapping[str, str] = {
+    "demo": "Simulate a scan in a bundled map, localize it, draw the answer.",
+    "inspect": "Look at a log or a map before it is used, and name what is wrong with it.",
+    "convert": "Write the scans of any log as CSV, JSON lines, NPZ or MCAP.",
+    "localize": "Find the pose of each scan in a map, without an initial guess.",
+    "simulate": "Simulate scans at random free poses of a map.",
+    "evaluate": "Measure methods on scans whose poses are known: simulated at random, or recorded.",
+    "calibrate": "Fit the methods to a map, or with --scans the map's scale and walls to recorded "
+    "scans.",
+    "sample": "Draw poses from the calibrated posterior p(x | z) of each scan.",
+    "atlas": "Draw where on this map, for this lidar, a single scan is enough.",
+    "batch": "Run one job on every pair of map and scan file: one row each.",
+    "report": "Write one page about a batch: verdicts, errors, times, maps, failures, pictures.",
+    "export": "Write the results of a batch as one table, a row for each scan.",
+    "track": "Follow a robot through a log of scans with odometry, from anywhere on the map.",
+    "node": "Run a ROS 2 node that finds the robot on the map and publishes its first pose.",
+    "which": "Say which of the maps in a folder each scan is from: one of them, none, or "
+    "undecided.",
+    "serve": "Answer over HTTP: where scans are, from which map; and a page at / that shows why.",
+    "open": "Look at a map and scans in the browser: answers in place, and why.",
 }
-_MAP: Mapping[str, tuple[str, ...]] = {
-    "check": (
-        "Report what is in a map, and what is likely to be wrong with it.",
-        "imgloc map check office.yaml",
-        "imgloc map check a.yaml --json",
-        "imgloc map check office.png --resolution 0.05 --negate --write office-read.yaml",
-    ),
-    "show": (
-        "Draw a map, or what is computed from it, into a PNG.",
-        "imgloc map show office.yaml --out office-view.png",
-        "imgloc map show office.yaml --what surface --out normals.png",
-        "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
-        "imgloc map show office.yaml --what likelihood --scans scan.csv --out where.png",
-    ),
-    "align": (
-        "Find where map B lies in the frame of map A, and how well the two agree.",
-        "imgloc map align office.yaml office-new.yaml --picture both.png",
-        "imgloc map align new.yaml old.yaml --move waypoints.csv --out waypoints-new.csv",
-        "imgloc map align a.yaml b.yaml --scans run.bag --json",
-        "imgloc map align a.yaml drawing.yaml --scale --write drawing-in-a.yaml",
-    ),
-    "changes": (
-        "Find where a map has aged: walls that rays pass (gone), surfaces where it has none (new).",
-        "imgloc map changes office.yaml run.log --out aged.png",
-        "imgloc map changes office.yaml monday.bag tuesday.bag --update office-mended.yaml",
-        "imgloc map changes office.yaml scans.npz --range-max 20 --json",
-    ),
-    "plan": (
-        "Make a map of a floor plan: walls as they stand, doors open, nothing else.",
-        "imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png",
-        "imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml",
-    ),
+_MAP: Mapping[str, str] = {
+    "check": "Report what is in a map, and what is likely to be wrong with it.",
+    "show": "Draw a map, or what is computed from it, into a PNG.",
+    "align": "Find where map B lies in the frame of map A, and how well the two agree.",
+    "changes": "Find where a map has aged: walls that rays pass (gone), surfaces where it has none "
+    "(new).",
+    "plan": "Make a map of a floor plan: walls as they stand, doors open, nothing else.",
 }
-_CACHE: Mapping[str, tuple[str, ...]] = {
-    "clear": (
-        "Remove all prepared maps; they are prepared anew when they are needed.",
-        "imgloc cache clear",
-    ),
+_CACHE: Mapping[str, str] = {
+    "clear": "Remove all prepared maps; they are prepared anew when they are needed.",
 }
+_CACHED = "Show where prepared maps are kept, how many there are and what they take."
 _GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
 _FILES = {"check": "map", "show": "map", "open": "serve", "clear": "cache"}
 
@@ -221,10 +102,19 @@ def command_of(name: str) -> Callable[..., None]:
     return found
 
 
-def examples(*lines: str, more: str = "") -> str:
-    """Format examples for the end of a help text, one a line, and `more` before, as it is."""
-    text = "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
-    return (f"\b\n{more.strip()}\n\n" if more else "") + text
+def told(function: Callable[..., None]) -> dict[str, Any]:
+    r"""The help of a command and what is below it, as Typer takes them, of its docstring.
+
+    Examples
+    --------
+    >>> told(command_of("clear"))["epilog"]
+    '\x08\nExamples:\n  imgloc cache clear'
+    """
+    about, *parts = re.split(r"\n\n(\w+)\n-+\n", inspect.cleandoc(function.__doc__ or ""))
+    more = dict(zip(parts[::2], parts[1::2], strict=True))
+    lines = more.get("Examples", "").replace("\n", "\n  ")
+    formats = f"\b\n{more['Formats']}\n\n" if "Formats" in more else ""
+    return {"help": about, "epilog": f"{formats}\b\nExamples:\n  {lines}"}
 
 
 def program(words: Iterable[str] | None = None) -> typer.Typer:
@@ -260,20 +150,20 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
         return command(command_of(name), *shared)
 
     for group, commands in _GROUPS.items():
-        for name, (about, *lines) in commands.items():
+        for name, first in commands.items():
             if (run := made(name)) is _unmade:
-                groups[group].command(name, help=about)(run)
+                groups[group].command(name, help=first)(run)
                 continue
-            # The file of a command may have a class of its own, and what comes before examples.
-            file = sys.modules[run.__module__]
-            kind, more = getattr(file, "RosCommand", Command), getattr(file, "FORMATS", "")
-            groups[group].command(name, cls=kind, epilog=examples(*lines, more=more))(run)
+            # The file of a command may have a class of its own.
+            kind = getattr(sys.modules[run.__module__], "RosCommand", Command)
+            groups[group].command(name, cls=kind, **told(run))(run)
     app = groups[""]
-    app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(with_options_of_program(root, *shared))
+    app.callback(**told(root))(with_options_of_program(root, *shared))
     app.add_typer(
         groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."
     )
-    groups["cache"].callback(help=_CACHED, epilog=examples(*_CACHES))(made("cache"))
+    run = made("cache")
+    groups["cache"].callback(**({"help": _CACHED} if run is _unmade else told(run)))(run)
     app.add_typer(groups["cache"], name="cache")
     return app
 

@@ -110,6 +110,14 @@ def batch(
     pictures. An item that fails, takes too long, or kills its worker costs itself alone; the exit
     code is then 5. An interrupted run goes on with --resume. Options of other jobs are
     refused. See also imgloc report, imgloc export.
+
+    Examples
+    --------
+    imgloc batch floors --job check --out checked
+    imgloc batch floors scans --out found --pictures doubtful
+    imgloc batch floors scans --job which --out named --workers 8
+    imgloc batch pairs.csv --out found --resume
+    imgloc batch images scans --resolution 0.05 --out found --dask tcp://10.0.0.5:8786
     """
     many = opt.count_threads(workers)
     limits: dict[str, Any] = {"timeout": timeout, "memory_limit": memory_limit}

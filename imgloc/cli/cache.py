@@ -16,7 +16,14 @@ Folder = Annotated[opt.Kept, Only("cache")]
 
 
 def cache(context: typer.Context, kept: Folder, as_json: opt.AsJson = False) -> None:
-    """Show where prepared maps are kept, how many there are and what they take."""
+    """Show where prepared maps are kept, how many there are and what they take.
+
+    Examples
+    --------
+    imgloc cache
+    imgloc cache --json
+    imgloc cache clear
+    """
     if context.invoked_subcommand is not None:
         return
     from imgloc.io.cache import cache_info
@@ -32,7 +39,12 @@ def cache(context: typer.Context, kept: Folder, as_json: opt.AsJson = False) -> 
 
 
 def clear(kept: Folder) -> None:
-    """Remove all prepared maps; they are prepared anew when they are needed."""
+    """Remove all prepared maps; they are prepared anew when they are needed.
+
+    Examples
+    --------
+    imgloc cache clear
+    """
     from imgloc.io.cache import cache_info, clear_cache
 
     before, removed = cache_info(kept.cache), clear_cache(kept.cache)

@@ -55,6 +55,11 @@ class Subgroup(Shares, TyperGroup):
         at = [k for k in there if not k or words[k - 1] not in lacking]  # others are values
         if there and not at:
             ctx.fail(f"Option {words[there[0] - 1]!r} requires an argument.")
+        own = {name for param in self.get_params(ctx) for name in param.opts}
+        lost = [w for w in words if w[:2] == "--" and w.partition("=")[0] not in own]
+        if ctx.parent and not at and lost:
+            rest = "" if self.invoke_without_command else ": expected one of its commands before it"
+            raise ConfigError(f"{lost[0]}: is no option of {ctx.command_path}{rest}")
         k = at[0] if at else 0
         words = [*words[k : k + 1], *words[:k], *words[k + 1 :]]
         return super().parse_args(ctx, [*first, *words, *args[end:]])

@@ -26,6 +26,12 @@ def convert(
     place and the name of the sensor, MCAP none for known poses. MCAP is a recording of ROS 2 with
     /scan, or a topic for each of several lasers, /odom and /tf_static, and needs rosbags:
     pip install 'imgloc[ros]'.
+
+    Examples
+    --------
+    imgloc convert run.bag scans.npz
+    imgloc convert run.log scans.csv --range-scale 0.001
+    imgloc convert scans.csv run.mcap --scans-index ::10
     """
     from imgloc.cli import inputs
     from imgloc.output import converted

@@ -37,6 +37,11 @@ def demo(
     The scan has 181 rays over 180 degrees, 2 cm of noise and a reach of 30 m. The picture shows the
     likelihood of CBML, which takes one side of a wall for the other, and the scan at each
     hypothesis of the answer.
+
+    Examples
+    --------
+    imgloc demo
+    imgloc demo --map corridor --seed 4
     """
     import numpy as np
 

@@ -24,6 +24,11 @@ def export(
     To read it, by pandas: pandas.read_parquet("results.parquet"), by Polars:
     polars.read_parquet("results.parquet"), by DuckDB: SELECT * FROM 'results.parquet'; and
     read_csv for a CSV. Parquet needs pyarrow: pip install 'imgloc[parquet]'.
+
+    Examples
+    --------
+    imgloc export found
+    imgloc export found --out answers.parquet
     """
     from imgloc.cli import inputs
     from imgloc.output.export import as_bytes

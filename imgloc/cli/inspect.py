@@ -54,6 +54,12 @@ def inspect(
     Of a log: kinds of lines or topics, scans, rays, ranges, codes for nothing seen, units, stamps,
     odometry, known poses, the place of the sensor, and whether scans and odometry agree. Of a log
     with a map, also whether the scans fit the map. The last line is the command to go on with.
+
+    Examples
+    --------
+    imgloc inspect run.log
+    imgloc inspect office.yaml run.bag --picture run.png
+    imgloc inspect office.yaml monday.log tuesday.log.gz --json
     """
     from imgloc.cli import inputs
 

@@ -24,24 +24,6 @@ if TYPE_CHECKING:
 _MANY = 5  # scans whose verdicts one does not count oneself
 _WIDE = 112  # columns of a line with the poses of the sensor and of the base
 
-FORMATS = """
-Scans (ranges in metres, angles in radians, counter-clockwise, 0 forward):
-  .csv                    a scan a line; or two columns, angle and range, a reading a line:
-                            # angle_min=-1.5708, angle_max=1.5708, range_max=30
-                            8.30,9.81,9.14,nan,4.20,3.32,3.41,inf,5.67,5.18,3.94,2.58,1.97
-                          at least 10 readings a scan; columns of rostopic, ros2, bagpy, PlotJuggler
-  .jsonl, .json           an object a line, with the names of sensor_msgs/LaserScan, as of
-                          rosbridge, Foxglove or CSM:
-                            {"angle_min": -1.57, "angle_increment": 0.26, "range_max": 30,
-                             "ranges": [8.30, 9.81, null, "inf", 4.20, 3.32, ...]}
-  .npz                    ranges (N,B), angles (B,), range_max; poses (N,3), stamps, odom
-  .log, .clf              CARMEN: FLASER, ROBOTLASER1, RAWLASER1, ODOM, PARAM; L of homework logs
-  .bag, .mcap, .db3       ROS 1 and 2, or the folder of a recording (pip install 'imgloc[ros]')
-  .yaml                   ros2 topic echo -f /scan > scans.yaml
-  .log.gz, .csv.gz ...    any of these texts, packed by gzip
-  -                       standard input, any of these
-"""
-
 
 def localize(
     *,
@@ -85,6 +67,35 @@ def localize(
     Verdicts: unique (one pose holds nearly all of the mass), ambiguous (several fit), no-match (the
     best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
+
+    Formats
+    -------
+    Scans (ranges in metres, angles in radians, counter-clockwise, 0 forward):
+      .csv                    a scan a line; or two columns, angle and range, a reading a line:
+                                # angle_min=-1.5708, angle_max=1.5708, range_max=30
+                                8.30,9.81,9.14,nan,4.20,3.32,3.41,inf,5.67,5.18,3.94,2.58,1.97
+                              at least 10 readings; columns of rostopic, ros2, bagpy, PlotJuggler
+      .jsonl, .json           an object a line, with the names of sensor_msgs/LaserScan, as of
+                              rosbridge, Foxglove or CSM:
+                                {"angle_min": -1.57, "angle_increment": 0.26, "range_max": 30,
+                                 "ranges": [8.30, 9.81, null, "inf", 4.20, 3.32, ...]}
+      .npz                    ranges (N,B), angles (B,), range_max; poses (N,3), stamps, odom
+      .log, .clf              CARMEN: FLASER, ROBOTLASER1, RAWLASER1, ODOM, PARAM; L of homework
+      .bag, .mcap, .db3       ROS 1 and 2, or the folder of a recording (pip install 'imgloc[ros]')
+      .yaml                   ros2 topic echo -f /scan > scans.yaml
+      .log.gz, .csv.gz ...    any of these texts, packed by gzip
+      -                       standard input, any of these
+
+    Examples
+    --------
+    imgloc localize office.yaml scans.npz
+    imgloc localize office.yaml scans.npz --scans-index 3 --picture answer.png
+    imgloc localize office.yaml run.log --scans-index 7,100:120 --explain why.html
+    imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0
+    imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg
+    imgloc localize office.yaml - < scan.csv
+    imgloc localize office.yaml scans.npz --json --strict > answers.jsonl
+    imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5
     """
     from imgloc.cli import inputs
     from imgloc.runs.localize import Localize

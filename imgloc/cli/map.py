@@ -35,6 +35,12 @@ def check(
 
     A map without walls or without free space is reported, not refused; a file that cannot be read
     exits with 3.
+
+    Examples
+    --------
+    imgloc map check office.yaml
+    imgloc map check a.yaml --json
+    imgloc map check office.png --resolution 0.05 --negate --write office-read.yaml
     """
     from imgloc.cli import inputs
     from imgloc.io.maps import resolve_settings, yaml_text
@@ -85,7 +91,15 @@ def show(
     memory_budget: opt.MemoryBudget | None = None,
     force: opt.Force = False,
 ) -> None:
-    """Draw a map, or what is computed from it, into a PNG."""
+    """Draw a map, or what is computed from it, into a PNG.
+
+    Examples
+    --------
+    imgloc map show office.yaml --out office-view.png
+    imgloc map show office.yaml --what surface --out normals.png
+    imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png
+    imgloc map show office.yaml --what likelihood --scans scan.csv --out where.png
+    """
     from imgloc.cli import inputs
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.likelihoods.stacks import likelihood

@@ -54,6 +54,13 @@ def node(
     ~/hypotheses, ~/markers, ~/status and /diagnostics show what is found until then. The services
     ~/localize, ~/reset and /reinitialize_global_localization ask for a new pose. Every parameter
     can also be set by ROS: --ros-args -p every:=1.0 -p use_sim_time:=true -r scan:=/front/scan.
+
+    Examples
+    --------
+    imgloc node
+    imgloc node office.yaml --sensor 0.2,0,0 --track
+    imgloc node floors --scan front --scan rear --sensor 0.3,0,0 --sensor -0.3,0,180deg
+    imgloc node office.yaml --sensor 0,0,0 --ros-args -p use_sim_time:=true
     """
     from imgloc.live.node import load_ros, run_node
 

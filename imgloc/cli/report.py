@@ -25,6 +25,11 @@ def report(
 
     The page needs no network. Of many pictures it has links to those in DIR, so leave it there.
     DIR/report.html is written anew each time.
+
+    Examples
+    --------
+    imgloc report found
+    imgloc report found --out site.html
     """
     from imgloc.cli import inputs
     from imgloc.output.report import MARK, render_report

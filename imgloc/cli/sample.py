@@ -33,6 +33,11 @@ def sample(
     A particle filter that has lost the robot puts some of its particles there (sensor resetting).
     The CSV has the columns scan, x, y, theta: the sensor in the map frame, metres and radians.
     Poses are uniform inside a cell of a stack. The same seed gives the same poses.
+
+    Examples
+    --------
+    imgloc sample office.yaml scans.npz --out particles.csv
+    imgloc sample office.yaml scans.npz --scans-index 3 -n 2000 --seed 7 --out a.csv
     """
     import numpy as np
 

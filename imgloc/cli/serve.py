@@ -65,6 +65,13 @@ def serve(
 
     Prints its address when the maps are prepared. Without --host only this machine reaches it. It
     opens no file that a client names. SIGTERM and Ctrl-C end what runs and refuse the rest.
+
+    Examples
+    --------
+    imgloc serve office.yaml
+    imgloc serve floors --port 8080 --threads 4
+    curl -X POST -T scans.npz 'http://127.0.0.1:8080/v1/localize?index=3'
+    IMGLOC_TOKEN=... imgloc serve office.yaml --host 0.0.0.0
     """
     _check_installed()
     from imgloc.live.guard import Access
@@ -98,6 +105,11 @@ def open(  # noqa: A001 (the command's name)
     """Look at a map and scans in the browser: answers in place, and why.
 
     Serves a page on this machine alone, prints its address and opens it. Ctrl-C ends it.
+
+    Examples
+    --------
+    imgloc open office.yaml
+    imgloc open office.yaml scans.npz
     """
     _check_installed()
     import webbrowser

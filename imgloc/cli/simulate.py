@@ -23,6 +23,11 @@ def simulate(
 
     Writes an NPZ with the keys ranges, angles, range_min, range_max and poses: the true pose of the
     sensor for each scan, in the map frame (metres, metres, radians).
+
+    Examples
+    --------
+    imgloc simulate office.yaml -n 100 --out scans.npz
+    imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz
     """
     from imgloc.cli import inputs
     from imgloc.io.scans import save_scans

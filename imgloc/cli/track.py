@@ -168,6 +168,13 @@ def track(
     is above --max-sd. "ambiguous: unconfirmed": one place holds the mass, but too few scans agree
     yet. Poses are those of the robot's base in the map frame; of the sensor where neither the log
     nor --sensor has its place. Several lasers are followed together (--topic /front,/rear).
+
+    Examples
+    --------
+    imgloc track office.yaml run.log --tum out.tum --picture track.png
+    imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl
+    imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0
+    imgloc track office.yaml log.npz --video out.webm
     """
     from imgloc.answers.diagnose import bent_walls
     from imgloc.answers.logcheck import FOLLOWED, doubt_of_log

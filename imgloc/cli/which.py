@@ -57,6 +57,13 @@ def which(
     it is also none if the best fits hardly better than the third. Of fewer than five maps, one is
     named only if the scan has a unique place in it. A scan with too few readings is invalid. A map
     that cannot be used is reported and left out; the exit code is then 5.
+
+    Examples
+    --------
+    imgloc which floors scans.npz
+    imgloc which floors scan.csv --range-max 20 --heading 90deg --json
+    imgloc which sites --maps-index sites.npz
+    imgloc which sites scans.npz --maps-index sites.npz --picture where.png
     """
     from imgloc.cli import inputs
     from imgloc.model import to_json

@@ -34,7 +34,7 @@ from imgloc.features.raydistance import LONGEST, ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
-from imgloc.options import Length
+from imgloc.options import Length, Millimetres
 from imgloc.ranges import Checked, Count, OneOf, Within
 
 #: A map with more cells keeps its walls as they are: each thinner copy has features of its own.
@@ -91,11 +91,11 @@ class MapFeatures(Checked):
     """
 
     grid: OccupancyGrid
-    cell: Length = 0.1
+    cell: Millimetres = 0.1
     sigma: Length = 0.1
     sigma_endpoint: Length = 0.15
     vmap_from: Annotated[str, OneOf(*SOURCES)] = "image"
-    n_psi: Count = 72
+    n_psi: Annotated[int, Within(1, 3600, "directions")] = 72
     horizon: Length = 30.0
     visibility_by: Annotated[str, OneOf(*WAYS)] = "march"
     n_rays: Count = 360

@@ -3,13 +3,14 @@
 from collections.abc import Callable
 
 from imgloc.doors import behind
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Filter
 from imgloc.filters.evidence import Places
 from imgloc.filters.tracker import Tracker
 from imgloc.model import LaserScan
-from imgloc.options import FILTERS, Options
+from imgloc.options import FILTERS, Options, Seed
+from imgloc.ranges import require
 
 
 def make_filter(
@@ -35,6 +36,8 @@ def make_filter(
         Replaces the search: a function of a scan that returns its places, from an earlier search
         for example.
     """
+    expect(features, MapFeatures, "features")
+    require(Seed, seed, "seed")
     if name == "tracker":
         return Tracker(features, options, find=find)
     if name not in FILTERS:

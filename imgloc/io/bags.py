@@ -87,13 +87,14 @@ def read_bag(
         lasers = tuple(_by_type(bag, LASER)) or tuple(_by_type(bag, _CLOUD))
         maps = tuple(_by_type(bag, GRID))
         connections = [c for c in bag.connections if c.topic in wanted]
-        entries, laser = list[Entry](), ""
+        entries, laser, frames = list[Entry](), "", set[str]()
         count = sum(c.msgcount for c in connections if c.topic == chosen)
         readings = most = 0
         for connection, time, data in messages_of(bag, connections):
             message = bag.deserialize(data, connection.msgtype)
             if connection.topic == chosen:
                 laser = frame_name(message.header.frame_id)
+                frames.add(laser)
                 where = f"{name}: {chosen}: message {len(entries)}"
                 entry = _entry(message, connection.msgtype, 1e-9 * time, height, where)
                 rays = len(entry["ranges"])
@@ -107,6 +108,12 @@ def read_bag(
                 entries.append((where, {**entry, "laser": chosen}))
             else:
                 beside.take(connection.topic, message)
+    if len(frames) > 1:
+        text = (
+            "%s: %s: its scans are of several frames, %s: of several lasers? All are taken for %s"
+        )
+        some = ", ".join(sorted(frames)[:_SHOWN])
+        _LOG.warning(text, name, chosen, some, laser, extra={"code": "two-lasers"})
     if height is not None and entries and "angles" in entries[0][1]:
         check_seen([entry for _, entry in entries], height, f"{name}: {chosen}")
     elif height is not None:

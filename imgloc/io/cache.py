@@ -78,6 +78,8 @@ def cache_limit() -> int:
 def cache_info(folder: PathLike | None = None) -> CacheInfo:
     """Look at what is in `folder`, which need not exist; default :func:`cache_folder`."""
     folder = cache_folder() if folder is None else Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{display(folder)}: is no folder, expected that of prepared maps")
     files = list(_files(folder))
     entries = sum(path.suffix == ".npz" for path, _ in files)
     return CacheInfo(entries, sum(about.st_size for _, about in files), cache_limit(), folder)

@@ -25,7 +25,7 @@ from imgloc.io.bags import Beside
 from imgloc.io.files import PathLike, display
 from imgloc.io.printed import Line, unprinted
 from imgloc.io.scanset import SPACING, Entry, ScanSet, collect, spread
-from imgloc.io.textscans import NAMES, lines_of, number_of, setting_of
+from imgloc.io.textscans import LASERS, NAMES, lines_of, number_of, setting_of
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
 from imgloc.robot.recording import Recording
@@ -64,7 +64,9 @@ _ROLES = (
     (re.compile(r"(.*[./])?(time)?stamp[./]secs?$"), "seconds"),
     (re.compile(r"(.*[./])?stamp$"), "stamp"),
     (re.compile(r"(%|__)?(time|timestamp|t|zeit|zeitstempel|temps|tiempo|tempo)$"), "time"),
-    (re.compile(r"(.*[./])?(header[./_])?(seq|frame_id|scan_time)$|.*intensit.*|quality|"
+    (re.compile(rf"(.*[./])?(header[./_])?frame_id|({'|'.join(LASERS)})([ ._]?(id|name))?"),
+     "laser"),
+    (re.compile(r"(.*[./])?(header[./_])?(seq|scan_time)$|.*intensit.*|quality|"
                 r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$"), "aside"),
     (re.compile(r"angu?le|winkel|[aá]ngulo|angolo|角度|bearing|azimuth|phi|alpha"), "angle"),
     (re.compile(r"range|dist(an[cz]i?[ae]?)?|abstand|entfernung|port[eé]e|距离|rho|r"), "range"),
@@ -73,6 +75,7 @@ _ROLES = (
 _COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
 _BELOW = re.compile(r"[1-9]\d\d([.,]\d+)?")  # a thousand
 _ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a half
+_LONG = 200  # characters that no name of a column has
 _SAMPLE = 10_000  # cells that show how numbers are spelled
 _PAIR = re.compile(r"(?<!\w)([^\W\d]\w*(?:\s*\(\w+\))?)\s*[:=]\s*([-+\w.]+)")
 # How a cell with a list begins.
@@ -269,6 +272,8 @@ def role_of(name: str) -> Role:
 
     It is ``ranges`` for a column of a scan a line, empty if the name is no hint.
     """
+    if len(name) > _LONG:
+        return "", 0, 1.0
     name = _ENDS.sub(lambda found: NAMES[found[0]], name.lower())
     if found := _RANGES.fullmatch(name):
         return "ranges", int(found[2]), 1.0
@@ -302,6 +307,7 @@ class _Table:
     bad: BadLines
     cut: str  #: where the line stands that does not end
     rows: list[tuple[str, FloatArray]] = field(default_factory=list)
+    lasers: list[str] = field(default_factory=list)  #: names that a column has, by their numbers
     length: float = 1.0  #: metres, that a comment gives as the unit of ranges
     turn: float = 1.0  #: radians, likewise of angles
     block: str = ""  #: what is said of numbers at the end of each line that may be no ranges
@@ -311,8 +317,11 @@ class _Table:
         roles = [role_of(name) for name in names]
         by = {role: i for i, (role, _, _) in reversed(list(enumerate(roles))) if role != "ranges"}
         ranges = [i for _, i in sorted((r[1], i) for i, r in enumerate(roles) if r[0] == "ranges")]
+        self._refuse_lasers([names[i][: names[i].rindex("range")] for i in ranges])
         if "range" in by and "angle" not in by and "theta" in by and "x" not in by:
             by["angle"] = by.pop("theta")
+        if "laser" in by and "angle" in by and "range" not in by:
+            by["range"] = by.pop("laser")
         if not ranges and {"angle", "range"} <= by.keys():
             if "quality" in names:
                 _LOG.warning("%s: %s", self.name, _CLOCKWISE, extra={"code": "degrees"})
@@ -324,8 +333,7 @@ class _Table:
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2], names)
         if not ranges:
-            aside = [i for i, r in enumerate(roles) if r[0] or not names[i]]
-            ranges = [i for i in range(len(names)) if i not in aside]
+            ranges = [i for i, (role, *_) in enumerate(roles) if names[i] and not role]
             if {"x", "y"} <= by.keys() and all(names[i][:1] == "z" for i in ranges):
                 raise ScanError(f"{self.name}: columns {', '.join(names)}{_POINTS}")
             if names and not ranges:
@@ -334,7 +342,7 @@ class _Table:
             ranges = _alike(ranges, names, self.name)
         used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
         if not self.rows:
-            self._parse([*used, *ranges], names)
+            self._parse([*used, *ranges], names, by.get("laser"))
         ranges = ranges or list(range(len(self.rows[0][1])))
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
             by["time"], ranges = times[0], [i for i in ranges if i not in times] or ranges
@@ -362,10 +370,16 @@ class _Table:
             said = {key: value for key, value in said.items() if not math.isnan(value)}
             if (rays := _rays_of(said)) and np.isnan(values[rays:]).all():
                 values = values[:rays]  # a shorter scan than others
-            stamp = _stamp_of(row, by, roles)
-            said |= {"ranges": values, "stamp": stamp, **more}
+            stamp, laser = _stamp_of(row, by, roles), self._laser_of(row, by)
+            said |= {"ranges": values, "stamp": stamp, "laser": laser, **more}
             entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
+
+    def _refuse_lasers(self, names: Sequence[str]) -> None:
+        """ScanError for ranges of several lasers, by what stands before the name of each."""
+        if len(of := dict.fromkeys(names)) > 1:
+            found = f"ranges of several lasers: {', '.join(of)}"
+            raise ScanError(f"{self.name}: {found}; expected the columns of one")
 
     def _by_contents(self, names: Sequence[str], fov: float | None) -> ScanSet | None:
         """The scans of columns without names, or with those of a language that is not known."""
@@ -396,8 +410,10 @@ class _Table:
                     beside.moves[topic, "", ""].append((stamp, x, y, 2 * math.atan2(z, w)))
         return beside
 
-    def _parse(self, used: Sequence[int] | None, names: Sequence[str]) -> None:
-        """Make numbers of the cells that are used, by default all."""
+    def _parse(
+        self, used: Sequence[int] | None, names: Sequence[str], laser: int | None = None
+    ) -> None:
+        """Make numbers of the cells that are used, by default all, and of the names of lasers."""
         width = len(names)
         for where, cells in self.body:
             try:
@@ -407,7 +423,11 @@ class _Table:
                     raise ScanError(f"{where}: {len(cells)} numbers, expected {width}{why}")
                 row = np.full(width, np.nan)
                 for i in range(width) if used is None else used:
-                    row[i] = number_of(cells[i], f"{where}: column {i + 1}")
+                    if i == laser:
+                        self.lasers += [cells[i]] * (cells[i] not in self.lasers)
+                        row[i] = self.lasers.index(cells[i])
+                    else:
+                        row[i] = number_of(cells[i], f"{where}: column {i + 1}")
             except ScanError as error:
                 self.bad.skip(error, where if self.rows and where == self.cut else "")
                 continue
@@ -440,12 +460,16 @@ class _Table:
         values = [len(np.unique(column)) for column in table.T]
         if len(even) > 2 and 2 * max(even[1:]) > 1 and (np.diff(table[:, 0]) == 1).all():
             even[0] = values[0] = 0  # it counts the readings
-        at = int(np.argmax(even)) if len(table) > _EVEN else 0
+        few = len(table) <= _EVEN
+        if few and (len(table) < 3 or even[0] < 1):
+            found = f"{len(table)} lines of {table.shape[1]} numbers"
+            raise ScanError(f"{self.name}: {found}, expected a first line of names: angle,range")
+        at = 0 if few else int(np.argmax(even))
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])
         apart = 8 if [at, *rest] == [0, 2, 1] else 2  # nobody has a quality before the range
         if rest[1:] and (2 * even[at] < 1 or apart * values[rest[1]] > values[rest[0]]):
             return {}
-        if len(table) > _EVEN and onward[at] < _ONWARD:
+        if not few and onward[at] < _ONWARD:
             expected = "angles in their order, or names of the columns"
             raise ScanError(f"{self.name}: no column rises or falls; expected {expected}")
         if at:
@@ -490,9 +514,11 @@ class _Table:
         table = np.array([row for _, row in self.rows])
         others = (k for k in range(table.shape[1]) if k != at)
         scans = [k for k in others if not names or role_of(names[k])[0] in ("", "range", "scan")]
-        if len({re.sub(r"\d+", "", names[k]) for k in scans if names}) > 1:
+        stems = {re.sub(r"[\W_]*\d+", "", names[k]) for k in scans if names}
+        if len(stems) > 1 or stems & {*LASERS}:
             found = f"columns {', '.join(names[k] for k in scans[:5])} beside angles"
-            raise ScanError(f"{self.name}: {found}, expected one that is called range")
+            expected = "one that is called range, or scan0, scan1 ... of one laser"
+            raise ScanError(f"{self.name}: {found}, expected {expected}")
         table = table * ([*map(self._metres, names)] or self.length)
         angles = _radians(self.name, table[:, at], self.turn if unit == 1 else unit)
         said = {**self.settings, "angles": angles}
@@ -563,22 +589,33 @@ class _Table:
         """The scans of a table with a reading a line."""
         which = next((key for key in ("scan", "stamp", "time") if key in by), None)
         if not self.rows:
-            keys = [k for k in ("angle", "range", which, "seconds", "nanoseconds") if k in by]
-            self._parse([by[k] for k in keys if k], [role for role, _, _ in roles])
+            keys = [*filter(None, ("angle", "range", which, "seconds", "nanoseconds", "laser"))]
+            used = [by[key] for key in keys if key in by]
+            self._parse(used, [role for role, _, _ in roles], by.get("laser"))
         self.bad.check(len(self.rows))
         table = np.array([row for _, row in self.rows])
         turn, length = (roles[by[key]][2] for key in ("angle", "range"))
         angles = _radians(self.name, table[:, by["angle"]], self.turn if turn == 1 else turn)
         ranges = table[:, by["range"]] * (self.length if length == 1 else length)
-        starts = _starts(table[:, by[which]] if which else None, angles)
-        entries = list[Entry]()
-        for a, b in itertools.pairwise([*starts, len(table)]):
-            stamp = _stamp_of(self.rows[a][1], by, roles) if which != "scan" else None
-            where = self.name if len(starts) == 1 else self.rows[a][0]
-            found = {"angles": angles[a:b], "ranges": ranges[a:b], "stamp": stamp}
-            entries.append((where, {**self.settings, **found}))
-        bad = BadLines(self.name, self.bad.most) if starts[1:] else None
-        return collect(entries, self.name, bad)
+        of = table[:, by["laser"]] if self.lasers else np.zeros(len(table))
+        entries = list[tuple[int, Entry]]()
+        for laser in range(max(1, len(self.lasers))):
+            mine = np.flatnonzero(of == laser)
+            starts = _starts(table[mine, by[which]] if which else None, angles[mine])
+            for a, b in itertools.pairwise([*starts, len(mine)]):
+                (where, row), at = self.rows[mine[a]], mine[a:b]
+                found = {
+                    "angles": angles[at], "ranges": ranges[at], "laser": self._laser_of(row, by),
+                    "stamp": _stamp_of(row, by, roles) if which != "scan" else None,
+                }  # fmt: skip
+                entries.append((int(mine[a]), (where, {**self.settings, **found})))
+        ordered = [entry for _, entry in sorted(entries, key=lambda at: at[0])]
+        if len(ordered) == 1:
+            return collect([(self.name, ordered[0][1])], self.name)
+        return collect(ordered, self.name, BadLines(self.name, self.bad.most))
+
+    def _laser_of(self, row: FloatArray, by: Mapping[str, int]) -> str:
+        return self.lasers[int(row[by["laser"]])] if self.lasers else ""
 
     def echoed(self) -> ScanSet:
         """The scans of what ``ros2 topic echo --csv`` prints: the fields without their names."""
@@ -594,7 +631,8 @@ class _Table:
                     raise ScanError(f"{where}: angle_increment: expected radians between two rays")
                 if abs(count - len(rays)) > 1:  # intensities follow
                     count = len(rays) // 2 if abs(2 * count - len(rays)) <= 2 else len(rays)
-                found = {"ranges": np.array(rays[:count]), "stamp": row[0] + 1e-9 * row[1]}
+                found = {"ranges": np.array(rays[:count]), "stamp": row[0] + 1e-9 * row[1],
+                         "laser": cells[2]}  # fmt: skip
                 entries.append((where, {**said, **found}))
             except (ScanError, IndexError) as error:
                 self.bad.skip(ScanError(str(error)), where if entries and where == self.cut else "")
@@ -734,8 +772,9 @@ def _alike(ranges: Sequence[int], names: Sequence[str], name: str) -> list[int]:
     others = [names[i] for i in ranges if stems[i] != usual]
     if count > 1 and count >= len(others) > 0:
         like = next(names[i] for i in ranges if stems[i] == usual)
-        expected = f"besides ranges such as {like}; expected {', '.join(_BESIDE)}, or names such as"
-        raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected} range0,intensity0")
+        found = f"columns {', '.join(others[:5])}: besides ranges such as {like}"
+        expected = f"{', '.join(_BESIDE)}, the ranges of one laser, or names such as"
+        raise ScanError(f"{name}: {found}; expected {expected} range0,intensity0")
     return list(ranges)
 
 

@@ -2,10 +2,11 @@
 
 import contextlib
 import difflib
+import json
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from io import BufferedReader
 from pathlib import Path
 
@@ -14,6 +15,13 @@ from imgloc.errors import ImglocError, OutputError, printable
 PathLike = str | os.PathLike[str]
 TEMPORARY = ".imgloc-{}.tmp"
 """Name of a file that is being written, with 16 random hexadecimal digits."""
+OTHERS: Mapping[str, Mapping[str, str]] = json.loads(
+    Path(__file__).with_name("others.json").read_text("utf-8")
+)
+"""What files are that people take for maps or for scans, and what makes such of them.
+
+By the endings of their names; of images by how they begin, of texts by patterns of that.
+"""
 COPIES: dict[str, str] = {}
 """Addresses of what was copied onto this machine, see :mod:`imgloc.io.remote`, by the copy."""
 

@@ -24,7 +24,7 @@ from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, TiffImagePlugin
 from PIL.ImageFile import ImageFile
 
 from imgloc.errors import ConfigError, MapError, OutputError
-from imgloc.io.files import PathLike, display, open_file
+from imgloc.io.files import OTHERS, PathLike, display, open_file
 
 Pixels = npt.NDArray[Any]  # uint8 or uint16
 
@@ -48,10 +48,6 @@ _READERS: dict[bytes, tuple[str, type[ImageFile]]] = {
 }
 for _magic in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
     _READERS[_magic] = ("TIFF", TiffImagePlugin.TiffImageFile)
-# Formats that people do try, for the message only.
-_OTHERS = {b"GIF8": "GIF", b"%PDF": "PDF", b"<svg": "SVG", b"<?xm": "XML or SVG"}
-_OTHERS |= {b"PK\3\4": "zip", b"imag": "YAML", b"<!DO": "a page of the web",
-            b"version https://git-lfs": "a pointer of Git LFS: git lfs pull"}  # fmt: skip
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
 _PNG_END = (0, b"IEND", b"\xaeB`\x82")  # length, name, checksum
 # Adam7: (first column, first row, column step, row step) of each pass.
@@ -233,7 +229,9 @@ def _opened(file: BinaryIO, name: str, max_pixels: int) -> ImageFile | _Netpbm:
         with _explained(name, found[0][0]):
             image = found[0][1](file)
     else:
-        like = (kind for magic, kind in _OTHERS.items() if head.startswith(magic))
+        like = (
+            k for magic, k in OTHERS["images"].items() if head.startswith(magic.encode("latin-1"))
+        )
         what = f"it looks like {kind}" if (kind := next(like, "")) else "unknown content"
         raise MapError(f"{name}: not an image that can be read ({what}), expected {_KNOWN}")
     width, height = image.size

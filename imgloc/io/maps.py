@@ -30,6 +30,7 @@ import yaml
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import (
+    OTHERS,
     PathLike,
     display,
     is_file,
@@ -66,19 +67,6 @@ _NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
 UNKNOWN = -1
 _FRAME = ("origin", "resolution", "negate", "mode")  # what another YAML may have otherwise
 _BESIDE = 64  # YAMLs in the folder of an image that are looked at
-
-_OTHERS = {
-    ".pbstream": "a state of Cartographer; cartographer_pbstream_to_ros_map makes a map of it",
-    ".posegraph": "a pose graph of slam_toolbox; its service save_map, or map_saver_cli, saves the "
-    "map",
-    ".db": "a database, as of RTAB-Map; map_saver_cli saves the map while RTAB-Map runs",
-    ".bt": "an octree; octomap_server publishes a map of it, and map_saver_cli saves that",
-    ".stcm": "a map of Slamtec; slamware_ros_sdk publishes it, and map_saver_cli saves that",
-    ".npy": "an array; save it as a grey PNG: 0 for walls, 254 for free, 205 for unknown",
-    ".dwg": "a drawing; save it as DXF, and imgloc map plan makes a map of it",
-    **dict.fromkeys((".pdf", ".svg", ".dxf"), "a drawing; imgloc map plan makes a map of it"),
-}
-"""What files are that people take for maps, and what makes maps of them."""
 
 # Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
 # or free; per byte of the file, whose samples may be written as text; and for tables of greys.
@@ -416,7 +404,7 @@ def resolve_settings(path: PathLike, **reading: "Unpack[Reading]") -> MapSetting
     said = load_map_yaml(path, given) if file.suffix.lower() in YAML_ENDINGS else None
     if said is None:
         os.close(open_regular(path, MapError, "map YAML or image"))
-        if hint := _OTHERS.get(file.suffix.lower()):
+        if hint := OTHERS["maps"].get(file.suffix.lower()):
             raise MapError(f"{name}: is no map: {hint}")
         if "resolution" not in given:
             read_image(path, allow_lossy=True)  # what cannot be has another remedy

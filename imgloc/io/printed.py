@@ -7,16 +7,25 @@ from imgloc.errors import ScanError
 
 Line = tuple[str, str]  #: where a line stands, and its text
 
-_RULE = re.compile(r"[-+|:=\s]*--[-+|:=\s]*|[(\[]\d+ rows?\b.*|\w+ *=")
-# MATLAB and Octave have a line before rows that go on, R has a number in front.
+_BOX = str.maketrans("│┃║┆╎", "|||||")
+_RULE = re.compile(
+    r"[-+|:=\s\u2500-\u257f]*(--|\u2500|\u2501|\u2550)[-+|:=\s\u2500-\u257f]*"
+    r"|[(\[]\d+ rows?\b.*|\d+ rows? in set.*|\w+ *="
+    r"|[|\s]*(<?(dbl|int|double|float|varchar|str|[fiu](32|64))>?([|\s]+|$))+"
+)
+# MATLAB and Octave have a line before rows that go on, R has numbers in front, or above.
 _BLOCK = re.compile(
     r"Columns? (\d+)(?: (?:through|to|and) \d+)?:? *$|\[(\d+)\](?=[-+.\seE\dInfaNA]+$)"
+    r"|\[,(\d+)\](?: +\[,\d+\])* *$"
 )
-_ARRAY = re.compile(r"(?i)\w+ *= *(\[|(np\.)?array|$)")
+_ROW = re.compile(r"\[\d+,\] +")
+_ARRAY = re.compile(r"(?i)(?:Out *\[\d+\]:|\w+ *=) *(\[|(np\.)?array|tensor|$)")
 _FACTOR = re.compile(r"\d\.0*e[-+]\d+ *\*", re.IGNORECASE)
-_LEFT_OUT = re.compile(r"(?<![^\s,\[|])\.{2,3}(?![^\s,\]|])")
+_LEFT_OUT = re.compile(r"(?<![^\s,\[|])(\.{2,3}|[…⋮])(?![^\s,\]|])")
 _BRACKETS = re.compile(
-    r"(?i)(\w+ *= *)?(array\(('\w', *)?)?\[[-+.\s\[\]\deinfa,]*(, *dtype=\w+)?\)?$"
+    r"(?i)(?:Out *\[\d+\]: *|\w+ *= *)?(?:(?:np\.)?array\(|tensor\()?('\w', *)?"
+    r"(?P<rows>\[[-+.\s\[\]\deinfa,]*\])"
+    r"(, *(dtype|device|requires_grad|grad_fn|shape)=[^()]*(\([^()]*\))?)*\)?"
 )
 _WHOLE = "write all, with NumPy's savetxt, MATLAB's writematrix, R's write.csv or pandas' to_json"
 
@@ -33,7 +42,9 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
     >>> rows = "Columns 1 through 2", "1 2", "3 4", "Column 3", "5", "6"
     >>> [text for _, text in unprinted([("", row) for row in rows])]
     ['1 2 5', '3 4 6']
-    >>> for rows in (("ranges = [1. 2.]", "angles = [0. 1.]"), ("Columns 3 through 4", "1 2")):
+    >>> unprinted([("", "Out[1]: array([1., 2.],"), ("", "dtype=float32)")])[0][1].split()
+    ['1.,', '2.']
+    >>> for rows in (("ranges = [1. 2.]", "angles = [0. 1.]"), ("[1] 1 2", "[4] 4 5")):
     ...     try:
     ...         unprinted([("a.txt", row) for row in rows])
     ...     except ScanError as error:
@@ -43,27 +54,34 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
     >>> unprinted([("", "[]")]), unprinted([("", "Column 1,angle,range")])
     ([], [('', 'Column 1,angle,range')])
     """
+    lines = [(where, text.translate(_BOX)) for where, text in lines]
     for where, text in lines:
-        if ".." in text and _LEFT_OUT.search(text):
+        if (".." in text or not text.isascii()) and _LEFT_OUT.search(text):
             raise ScanError(f"{where}: it was printed shortened, with dots for numbers: {_WHOLE}")
         if _FACTOR.fullmatch(text):
             raise ScanError(f"{where}: it was printed with four digits and a factor: {_WHOLE}")
+        if text.endswith("\\") and re.search(r"\S +\\$", text):
+            raise ScanError(f"{where}: it was printed in pieces, one below the other: {_WHOLE}")
     arrays = [where for where, text in lines if _ARRAY.match(text)]
     if len(arrays) > 1:
         raise ScanError(f"{arrays[1]}: a second array, expected the ranges alone: {_WHOLE}")
     lines = [line for line in lines if not _RULE.fullmatch(line[1])]
     if lines and all(text[:1] == text[-1:] == "|" for _, text in lines):
         return [(where, text[1:-1]) for where, text in lines]
-    if lines and _BRACKETS.match(lines[0][1]) and re.search(r"\](, *dtype=\w+)?\)?$", lines[-1][1]):
-        inside = re.findall(r"\[([^\[\]]*)\]", " ".join(text for _, text in lines))
+    begins = lines and re.match(r"[\w.\s=:('\[\]]*\[", lines[0][1])
+    if begins and (found := _BRACKETS.fullmatch(" ".join(text for _, text in lines))):
+        inside = re.findall(r"\[([^\[\]]*)\]", found["rows"])
         return [(lines[0][0], row) for row in inside if row.strip()]
     rows, table, k = list[Line](), 0, 0
     for where, text in lines:
         if found := _BLOCK.match(text):
-            if not rows and "1" not in found.groups():
+            first = int(found[1] or found[2] or found[3])
+            k = table = table if first > 1 else len(rows)
+            there = [re.findall(r"[^\s,]+", text) for _, text in rows[k : k + 1]]
+            if first > 1 and first - 1 not in map(len, there):
                 raise ScanError(f"{where}: what was printed before it is missing: {_WHOLE}")
-            k = table = len(rows) if "1" in found.groups() else table
-        if row := text[found.end() if found else 0 :]:
+        row = text[found.end() :] if found else _ROW.sub("", text)
+        if row:
             rows[k : k + 1] = [
                 (rows[k][0], f"{rows[k][1]} {row}") if k < len(rows) else (where, row)
             ]

@@ -35,6 +35,7 @@ from imgloc.io.clouds import Height, pcd_size, read_pcd
 from imgloc.io.csvscans import is_number, read_csv
 from imgloc.io.echo import read_echo
 from imgloc.io.files import (
+    OTHERS,
     PathLike,
     display,
     is_file,
@@ -74,7 +75,7 @@ def load_scans(
     height: Height | None = None, odom: str | None = None, range_max: float | None = None,
     sensor: Pose2D | None = None,
 ) -> ScanSet:  # fmt: skip
-    """Load laser scans: at least one, each with at least one reading, all angles finite.
+    r"""Load laser scans: at least one, each with at least one reading, all angles finite.
 
     ScanError names the file, the line or key, what was found and what was expected.
 
@@ -108,6 +109,15 @@ def load_scans(
         Reach of the sensor, in the unit of the file, where that of the file cannot be: 0, or NaN.
     sensor : Pose2D, optional
         Where the sensor sits on the robot, in place of what the file contains.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> rows = "laser,angle_deg,range", "front,0,1", "front,90,2", "rear,0,3", "rear,90,4"
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "two.csv").write_text("\n".join(rows))
+    ...     load_scans(f"{folder}/two.csv", topic="rear")[0].ranges.tolist()
+    [3.0, 4.0]
     """
     how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom, range_max=range_max)
     path = local(path)
@@ -248,46 +258,6 @@ _MAGIC = (
     (rb"(?s).*?\b(angle|theta)\s*[:=]\s*[-\d]", _CSV),
 )  # fmt: skip
 _HEAD = 4096  # bytes that tell the kind
-_BEESOFT = "Beesoft's log: write what follows '#LASER ...:' as CSV; pass `fov`, `range_scale=0.01`"
-_SPOKEN = (
-    (rb"[@#]SENS\b|#(ROBOT|LASER) [-\d]", _BEESOFT),
-    (rb"## Player version", "a log of Player; of its laser lines every other number is a range: "
-     "write these as CSV"),
-    (rb"(header|time|scan|frame) *:? *\{\s",
-     "what gz topic prints; ros_gz_bridge makes a LaserScan of it, or gz topic prints JSON"),
-    (rb"\x02?s\w\w LMDscandata",
-     "telegrams of a SICK sensor; its ROS driver, sick_scan_xd, makes a LaserScan of each"),
-    (rb"(GD|GS|MD|MS)\d{10}",
-     "answers of a Hokuyo sensor (SCIP); its ROS driver, urg_node, makes a LaserScan of each"),
-    (rb"[\w.]+ *= *[\[{]|\{\s*[-.\d]|(- -?\.?\w\S*\n){3}",
-     "numbers as a program prints them, without angles: write np.savez('scans.npz', ranges=..., "
-     "angles=..., range_max=...) in Python, or echo the whole topic, not a field of it"),
-    (rb"\s*<[!?\w]", "a page of the web, not the file itself: download that"),
-    (rb"version https://git-lfs", "a pointer of Git LFS to the file: git lfs pull fetches it"),
-    (rb"\[timestamp\]\s*\d", "a log of UrgBenri: write the lines below [scan] as CSV, and pass "
-     "`fov` and `range_scale=0.001`"),
-    (rb".{,200}\bLaserScan\(header=", "messages as Python prints them; ros2 topic echo -f /scan > "
-     "scans.yaml writes them to be read"),
-    (rb"\[\s*\(\s*\d", "a list of Python's, as its rplidar prints: write a first line "
-     "angle_deg,distance_mm, and below it -angle,distance of each reading"),
-)  # fmt: skip
-"""Texts that are no log of scans by how they begin, and what makes one of them."""
-_TO_JSON = "(FILE).to_json('scans.jsonl', orient='records', lines=True) makes JSON lines"
-_CONVERTED = {
-    ".npy": "an array without angles: np.savez('scans.npz', ranges=..., angles=..., range_max=...)",
-    ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
-    **{f".{form}": f"pandas.read_{form}{_TO_JSON}" for form in ("parquet", "feather")},
-    ".pkl": "a pickle, which may run anything: np.savez('scans.npz', ranges=..., angles=...)",
-    **dict.fromkeys((".h5", ".hdf5"), "np.savez('a.npz', ranges=..., angles=...) of h5py's arrays"),
-    ".klg": f"depth images, of which depthimage_to_laserscan makes scans, or {_BEESOFT}",
-    ".rawlog": "a log of MRPT: rawlog-edit exports its scans as text",
-    ".simplemap": "a map of MRPT with its scans, not a log of them",
-    ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
-    ".bag.active": "a bag that was not closed: rosbag reindex",
-    **dict.fromkeys((".ply", ".las"), "a cloud: save it as .pcd, of which `height` takes a slice"),
-    ".xlsx": "a workbook: save the sheet as CSV",
-    **dict.fromkeys((".zip", ".tar", ".tgz", ".zst", ".zstd", ".xz", ".bz2"), "packed: unpack it"),
-}
 
 
 def format_of(path: PathLike) -> str:
@@ -328,7 +298,7 @@ def _kind_of(path: PathLike) -> _Kind:
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
         return kind
-    for known, hint in _CONVERTED.items():
+    for known, hint in OTHERS["scans"].items():
         if lower.endswith((known, f"{known}.gz", f"{known}.zip")):
             raise ScanError(f"{name}: cannot be read: {hint}")
     head = _refuse_spoken(path)
@@ -369,8 +339,8 @@ def _head_of(path: PathLike) -> bytes:
 def _refuse_spoken(path: PathLike) -> bytes:
     """First bytes; ScanError for a program's text that is not read, with what would do."""
     head = _head_of(path)
-    for pattern, hint in _SPOKEN:
-        if re.match(pattern, head, re.MULTILINE | re.DOTALL):
+    for pattern, hint in OTHERS["texts"].items():
+        if re.match(pattern.encode(), head, re.MULTILINE | re.DOTALL):
             raise ScanError(f"{display(path)}: cannot be read: {hint}")
     return head
 

@@ -378,6 +378,9 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
         expected = "angles, or angle_min with angle_increment or angle_max, in radians"
         raise ScanError(f"{where}: angles: missing, expected {expected}")
     if step is None:
+        if last == first and count > 1:
+            expected = f"another one than angle_min: there are {count} readings"
+            raise wrong(f"{where}: angle_max", f"{last:g}", expected)
         return np.linspace(first, last or 0.0, count)
     angles = first + np.arange(count, dtype=np.float64) * step
     # Drivers disagree on whether angle_max is the last ray or the one after it.
@@ -460,7 +463,7 @@ def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ..
     """The scans, the greatest reading being no distance where it is a code for nothing seen.
 
     Drivers write one number, such as 81.83, for each ray that met nothing. Where the file has no
-    range_max it would be a wall.
+    range_max it would be a wall. 65535 is such a number however rare it is.
     """
     silent = [scan for scan in scans if math.isinf(scan.range_max)]
     codes = [code for code in map(_code_of, silent) if code is not None]
@@ -485,6 +488,8 @@ def _code_of(scan: LaserScan) -> float | None:
     """Code of a scan in place of ranges where nothing was seen; None if they look like ranges."""
     seen = scan.ranges[scan.valid]
     top = float(seen.max(initial=0.0))
+    if top in [65535 * metres for metres in (1.0, 1e-2, 1e-3, 0.0254)]:  # all of 16 bits
+        return top
     often = int(np.count_nonzero(seen == top))
     if often < max(_LEAST, _OFTEN * len(seen)) or often == len(seen):
         return None

@@ -41,6 +41,8 @@ NAMES = {
     "start_angle": "angle_min", "end_angle": "angle_max", "distances": "ranges",  # of Foxglove
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
+LASERS = ("laser", "lidar", "sensor", "scanner", "source", "device", "frame", "link", "topic")
+"""What a field is called that names one of several lasers, beside frame_id."""
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
 _NO = r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(?:ind|qnan)\d*"
 _WORDS = re.compile(rf"{_NO}|(\+?(?:∞|1\.#inf\d*|unendlich|infini(?:to)?))")  # of programs, people
@@ -182,7 +184,7 @@ def unwrapped(entry: Any, where: str = "scan") -> tuple[Any, str | None]:
                 plain.pop(key, None)
     elif stamp is not None and "stamp" not in plain:
         plain["stamp"] = _seconds(stamp)
-    return plain, None
+    return plain, plain["topic"] if isinstance(plain.get("topic"), str) else None
 
 
 def _turned(plain: Mapping[str, Any], pose: FloatArray, where: str) -> dict[str, Any]:
@@ -335,7 +337,9 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in spelled)
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = None if stamp is None else scalar(stamp, f"{where}: stamp")
-    plain["laser"] = entry.get("laser", header.get("frame_id", ""))
+    named = {**entry, **header}
+    names = (named[key] for key in ("frame_id", *LASERS) if isinstance(named.get(key), str | int))
+    plain["laser"] = entry.get("laser", next((str(name) for name in names), ""))
     for key in _POSES:
         if isinstance(entry.get(key), dict):
             plain[key] = [entry[key].get(k) for k in ("x", "y", "theta")]

@@ -7,8 +7,10 @@ the rest with a time to come back.
 
 import asyncio
 import contextlib
+import hashlib
 import json
 import logging
+import mimetypes
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -20,12 +22,12 @@ from weakref import WeakKeyDictionary
 
 import anyio
 import numpy as np
-from starlette.datastructures import MutableHeaders
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, Router, WebSocketRoute
-from starlette.staticfiles import StaticFiles
+from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketState
 
@@ -283,7 +285,7 @@ class Service:
             by_path.setdefault(one.path, {})[one.method] = one, getattr(self, f"_{one.run}")
         routes = [Route(path, self._endpoint(by), methods=[m.upper() for m in by])
                   for path, by in by_path.items()]  # fmt: skip
-        files = StaticFiles(directory=_PAGE, html=True, follow_symlink=True)
+        files = _Files(directory=_PAGE, html=True, follow_symlink=True)
         routes += [Route(path, files) for path in self.page]
         return [WebSocketRoute(openapi.TRACK.path, self._track), *routes]
 
@@ -661,6 +663,20 @@ class Service:
                     await socket.send_text(bytes(problem.body).decode())
                     code = 1011 if problem.status_code == 500 else 1007
                     await socket.close(code, "see the last message")
+
+
+class _Files(StaticFiles):
+    """The files of the page: each is sent whole, with a tag of what is in it."""
+
+    def file_response(
+        self, full_path: Any, _: Any, scope: Scope, status_code: int = 200
+    ) -> Response:
+        """The file, or nothing but its tag if the client has it."""
+        body = Path(full_path).read_bytes()
+        tag = {"etag": f'"{hashlib.blake2b(body, digest_size=16).hexdigest()}"'}
+        answer = Response(body, status_code, tag, mimetypes.guess_type(full_path)[0])
+        same = self.is_not_modified(answer.headers, Headers(scope=scope))
+        return NotModifiedResponse(answer.headers) if same else answer
 
 
 def _one_of(held: ScansHeld, values: Values) -> LaserScan:

@@ -93,6 +93,8 @@ class FloorPlan:
     framed_area: float = 0.0
     #: what walls enclose elsewhere on the drawing, the largest such space, square metres
     other_area: float = 0.0
+    single: float = 0.0  #: share of the walls, 0..1, that are single lines
+    doorless: float = 0.0  #: the largest space without a way in, square metres
     rooms: int | None = None  #: with closed doors, if the drawing tells which are doors
     scale: tuple[float, str] = (0.0, "")  #: metres a unit of the drawing, and how that was found
     signs: tuple[str, ...] = ()  #: what a drawing tells against its map, the worst first
@@ -280,7 +282,7 @@ def finished(
         _as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden, movable),
         kinds, pixel, (wide * pixel, tall * pixel), len(masks.pieces(walls)[1]) - 1,
         len(through) * pixel, (low, median, high), tuple(sorted(doors)),
-        _counted(kinds, len(doors), pixel), **found,
+        _counted(kinds, len(doors), pixel), single=float(np.mean(through < 3 * pixel)), **found,
     )  # fmt: skip
 
 

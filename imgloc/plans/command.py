@@ -10,7 +10,7 @@ from imgloc.errors import ConfigError, MapError, as_options
 from imgloc.io.files import display, is_file
 from imgloc.options import PlanWalls
 from imgloc.pose import Pose2D
-from imgloc.ranges import OneOf, Within, check_of, option
+from imgloc.ranges import OneOf, Within, option, require
 from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
@@ -89,6 +89,11 @@ def plan(
     Walls may be filled, two lines, hatched, or single thick lines. Door swings, text, furniture,
     stairs, dimensions and thin lines are taken away, and what is outside becomes unknown. The
     building is the largest space within walls: frames, titles and legends are not part of it.
+
+    Examples
+    --------
+    imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png
+    imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml
     """
     from imgloc.cli import inputs
     from imgloc.io.maps import save_map
@@ -207,9 +212,7 @@ def _scale(
             "--resolution, metres a pixel, or --distance: two points and the metres between them"
         )
     scale = resolution or measured_resolution(distance or (), *size)
-    check = check_of(PlanScale)
-    if check is not None and (refused := check(scale)) is not None:
-        raise ConfigError(f"--distance: got {scale:g}, expected {refused[1]}")
+    require(PlanScale, scale, "--distance")
     return scale
 
 

@@ -43,6 +43,8 @@ _PILLARS = 2.0  # metres that a filled area may be wide, and still be a wall or 
 # Square metres of what is between two lines, at least, for each of the thicknesses of walls: what
 # is thicker than most walls has to be longer than a cupboard or a cabin.
 _BODY = (0.03, 2.0)
+_SINGLE = 0.25  # of the walls, that are single lines: of real drawings at most 0.19
+_COURT = 0.05  # of the free area, without a door: of real drawings at most 0.01
 _SHUT = 0.1  # of the doors, that are blocked: of real drawings next to none
 _USUAL = (0.65, 1.1)  # metres that half of all doors are wide
 _AROUND = 2.0  # metres around a floor that are shown
@@ -162,6 +164,28 @@ class Sheet:
         wide = 2 * self.pixel * masks.greatest(masks.depth(out > 0), labels, out > 0, len(stats))
         return np.asarray((out > 0) & (wide < _PILLARS)[labels])
 
+    def crosses(self, line: FloatArray, walls: BoolArray) -> bool:
+        """Return whether a straight line goes through walls, from room to room, as an axis does.
+
+        Examples
+        --------
+        >>> sheet = Sheet(np.zeros(2), 0.1, 1, (20, 100), 1.0)
+        >>> walls = np.zeros((20, 100), bool)
+        >>> walls[:, 48:52] = True
+        >>> [sheet.crosses(np.array([(1.0, 1.0), (x, 1.0)]), walls) for x in (5.0, 9.0)]
+        [False, True]
+        """
+        long = float(np.hypot(*(line[-1] - line[0]))) * self.unit
+        if len(line) > 2 or long < 2 * building.PIECE:
+            return False
+        ways = np.linspace(0, 1, int(long / self.pixel))[:, None]
+        spots = self.fixed(line[0] + ways * (line[1] - line[0])) >> _BITS
+        on = walls[tuple(spots.clip(0, np.array(self.shape[::-1]) - 1).T[::-1])]
+        free = np.split(~on, np.flatnonzero(np.diff(on)) + 1)
+        return [bool(run[0]) and len(run) * self.pixel > building.PIECE for run in free].count(
+            True
+        ) > 1
+
     def at(self, point: FloatArray, cells: npt.NDArray[Any], cell: float) -> int:
         """The value of the cell that a point of the drawing is in; 0 if it is in none."""
         column, row = np.floor((point * self.unit - self.corner) / cell).astype(int).tolist()
@@ -179,14 +203,14 @@ def drawing_to_maps(
     roles = _roles(drawing.strokes, walls)
     leaves = doors_of(drawing.strokes, roles)
     unit, said = (resolution, "as given") if resolution else unit_of(drawing, leaves, roles)
-    leaves = [d for d in leaves if LEAVES[0] < d.width * unit < LEAVES[1]]
+    other = sum(not _fit([d], unit) and any(_fit([d], u) for u, _ in drawing.units) for d in leaves)
+    leaves = _fit(leaves, unit)
     part = _parts_of_doors(drawing.strokes, roles, leaves)
     roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
     best, box = list[Floor](), np.inf
+    pairs = [(s, role) for s, role in zip(drawing.strokes, roles, strict=True) if not s.dashed]
     for taken in (("wall", "window"), ("wall", "window", "")):
-        some = [
-            s for s, r in zip(drawing.strokes, roles, strict=True) if r in taken and not s.dashed
-        ]
+        some = [s for s, role in pairs if role in taken]
         if not some or (walls and "" in taken):
             continue
         if sum(f.area for f in best) * cell**2 > _COVERED * box:
@@ -222,14 +246,24 @@ def drawing_to_maps(
              "on the map; `distance` gives another scale"),
             (not resolution and drawing.page and not _USUAL[0] < usual < _USUAL[1],
              f"its doors are {usual:.2f} m wide, half of them less: is its scale right, {said}?"),
-            (plan.thickness[1] < 3 * plan.pixel,
-             "its walls are single lines, so rooms are too large by half of a wall on each side"),
+            (plan.single > _SINGLE,
+             f"{plan.single:.0%} of its walls are single lines: rooms are half a wall too large"),
+            (bool(floor.leaves) and plan.doorless > _COURT * plan.free_area,
+             f"{plan.doorless:.0f} m2 have no door: a courtyard, or a door that was not found"),
+            (drawing.page and not resolution and other > 1,
+             f"{other} doors fit another scale that is written on it: a part of it has that one, "
+             f"and is not right at {said}; make a map of each part by `resolution`"),
             (floor.guessed,
              "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
              "names the layers"),
         )  # fmt: skip
         plans.append(replace(plan, signs=tuple(text for sign, text in signs if sign)))
     return plans
+
+
+def _fit(leaves: Sequence[Door], unit: float) -> list[Door]:
+    """Those of the leaves that are as wide as doors are."""
+    return [d for d in leaves if LEAVES[0] < d.width * unit < LEAVES[1]]
 
 
 def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
@@ -345,6 +379,10 @@ def _floors_of(
     firm = masks.opened(walls, max(3.0, building.THINNEST / sheet.pixel))
     if named:
         firm |= sheet.lines(s for s in strokes if role_of(s.layer) == "window")
+        about = masks.grown(firm, 2)
+        others = [s for s in strokes if not sheet.crosses(s.points, about)]
+        if len(others) < len(strokes):
+            return _floors_of(others, leaves, unit, cell, thickest, gap, named=named)
     else:  # lines are walls only beside what is between two of them
         walls = firm = np.logical_or(*building.standing(firm, drawn, sheet.pixel))
     taken = masks.coarser(walls | shut, parts) > 0
@@ -464,10 +502,13 @@ def _map_of(
     (more if furniture else movable)[(kinds == Kind.SYMBOL) & within] = True
     hidden = masks.grown(shut, round(0.1 / sheet.pixel)) & ~walls if doors == "unknown" else None
     apart = inside & ~masks.grown(masks.coarser(walls | shut, n) > 0, 1)
-    rooms = masks.pieces(apart, 4)[1][1:, cv2.CC_STAT_AREA] * cell**2
+    labels, stats = masks.pieces(apart, 4)
+    rooms = stats[1:, cv2.CC_STAT_AREA] * cell**2
+    doors_at = masks.met(labels, len(stats), masks.grown(masks.coarser(shut, n) > 0, 3))[1:]
     return building.finished(
         walls, inside, kinds, cell, corner, [d.width * sheet.unit for d in floor.leaves],
         more, hidden, movable,
         gap=floor.gap, thinnest=sheet.pixel, thickest=building.THICKEST[-1],
         rooms=int(np.count_nonzero(rooms > _ROOM)), scale=(sheet.unit, said),
+        doorless=float(rooms[~doors_at].max(initial=0.0)),
     )  # fmt: skip

@@ -1,6 +1,8 @@
 """DXF as strokes: ezdxf unfolds blocks, layers, dashes and widths, as if it drew the model."""
 
 import io
+import logging
+from collections import Counter
 from collections.abc import Iterable
 from functools import cache
 from typing import Any
@@ -14,14 +16,20 @@ from ezdxf.addons.drawing.frontend import Frontend
 from ezdxf.addons.drawing.properties import RenderContext
 from ezdxf.audit import AuditError
 from ezdxf.document import Drawing as Drawn
+from ezdxf.entities.acis import Body
+from ezdxf.entities.dxfentity import DXFEntity, DXFTagStorage
 from ezdxf.entities.dxfgfx import DXFGraphic
 from ezdxf.entities.insert import Insert
 from ezdxf.lldxf.const import DXFError
 from ezdxf.math import Vec2
 
 from imgloc.errors import MapError
+from imgloc.plans.drawn import role_of
 from imgloc.plans.vectors import DEEP, UNITS, Drawing, Stroke, bounded, drawn
 
+logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # what it mends is no news
+# Whatever ezdxf makes of a damaged file.
+_ODD = DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError
 _LINES = 3_000_000  # of a DXF as text, which takes half a minute; a large floor has 200,000
 _FINE = 0.003  # of its size, that a line may stay away from its curve
 _DRAWN = {
@@ -47,13 +55,25 @@ def read_dxf(data: bytes) -> Drawing:
         bounded(_unfold_to(document))
         pen, context = _Pen(), RenderContext(document, ctb=new_ctb())  # whichever it names
         _Unfolded(context, pen, _HOW).draw_layout(document.modelspace())
-    except (DXFError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+        bodies = Counter(filter(None, map(_undrawn, document.entitydb.values())))
+    except _ODD as error:
         raise MapError(f"it cannot be read as DXF: {' '.join(str(error).split())[:200]}") from None
-    others = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
+    files = [b.name for b in document.blocks if b.block is not None and b.block.is_xref]
+    lacks = [f"references to {', '.join(files[:3])}, which is not in it: bind it"] if files else []
     absent = sum(fix.code == AuditError.UNDEFINED_BLOCK for fix in audit.fixes)
-    others += [f"{absent} INSERT of blocks that are not there"] if absent else []
+    lacks += [f"{absent} INSERT of blocks that are not in it: bind them"] if absent else []
+    lacks += [f"{n} {what}: explode them to lines" for what, n in bodies.items()]
+    if not pen.strokes and any(len(s) > 1 for s in document.layouts if s.is_any_paperspace):
+        lacks.append("a layout: draw the floor in the model")
     unit = UNITS.get(document.header.get("$INSUNITS", 0))
-    return Drawing(pen.strokes, (unit,) if unit else (), missing=tuple(others))
+    return Drawing(pen.strokes, (unit,) if unit else (), missing=tuple(lacks))
+
+
+def _undrawn(entity: DXFEntity) -> str:
+    """Name and layer of a solid, or of an object of another program, that may be a wall."""
+    about = entity.graphic_properties() if isinstance(entity, Body | DXFTagStorage) else {}
+    layer = str(about.get("layer", "0"))
+    return f"{entity.dxftype()} on {layer}" * (bool(about) and role_of(layer) in ("", "wall"))
 
 
 def _unfold_to(document: Drawn) -> int:

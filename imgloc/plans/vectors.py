@@ -9,7 +9,7 @@ entities of entities.
 import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ LOG = logging.getLogger("imgloc")
 MAX_BYTES = 100_000_000  #: of a file
 MOST = 400_000  #: strokes, and entities in the file; a large floor has some 20,000
 DEEP = 24  #: blocks within blocks
+_ALL = np.array([(-np.inf, -np.inf), (np.inf, np.inf)])  # corners of what is not cut
 _FAR = 1e10  # units from the zero point: nothing that is built is farther away
 #: metres of the units of a DXF and their names, by the number in its header
 UNITS = {
@@ -52,7 +53,7 @@ class Drawing:
     #: metres that a unit may be as the file states it, the most likely first; and what states it
     units: tuple[tuple[float, str], ...]
     page: bool = False  #: its units are those of paper: a scale that is not stated cannot be found
-    missing: tuple[str, ...] = ()  #: other files that it refers to
+    missing: tuple[str, ...] = ()  #: what it has and imgloc cannot draw, and what to do
 
 
 def read_drawing(path: Path) -> Drawing:
@@ -77,13 +78,44 @@ def read_drawing(path: Path) -> Drawing:
         raise MapError(f"{name}: {error}") from None
     except RecursionError:
         raise MapError(f"{name}: its parts are nested too deeply to be read") from None
-    others = ", ".join(drawing.missing[:3])
+    lacks = "; ".join(drawing.missing[:3])
     if not drawing.strokes:
-        why = f"; it only refers to what is not in the file, {others}: bind it" if others else ""
+        why = f"; it has only {lacks}" if lacks else ""
         raise MapError(f"{name}: there is no line on it, expected the drawing of a floor{why}")
-    if others:
-        LOG.warning("%s: %s: what they draw is not in the file; bind it", name, others)
+    if lacks:
+        LOG.warning("%s: left out: %s", name, lacks)
     return drawing
+
+
+def clipped(stroke: Stroke, box: FloatArray) -> Iterator[Stroke]:
+    """The parts of a stroke that are in a box, (2, 2) its low and its high corner.
+
+    Examples
+    --------
+    >>> line = Stroke(np.array([(-1.0, 0.5), (3.0, 0.5)]), "WALL")
+    >>> [part.points.tolist() for part in clipped(line, np.array([(0, 0), (2, 1)]))]
+    [[[0.0, 0.5], [2.0, 0.5]]]
+    >>> list(clipped(line, np.array([(0, 0.6), (2, 1)])))
+    []
+    """
+    if (stroke.points >= box[0]).all() and (stroke.points <= box[1]).all():
+        yield stroke
+    elif (box[0] < box[1]).all():
+        from ezdxf.math import Vec2
+        from ezdxf.math.clipping import ClippingRect2d
+
+        rest, way = ClippingRect2d(Vec2(box[0]), Vec2(box[1])), Vec2.list(stroke.points)
+        for part in rest.clip_polygon(way) if stroke.filled else rest.clip_polyline(way):
+            points = np.array([(p.x, p.y) for p in (*part, *part[: stroke.filled])])
+            if drawn(points):
+                yield replace(stroke, points=points)
+
+
+def _within(box: FloatArray, points: Sequence[Any]) -> FloatArray:
+    """A box, cut to that around some points; all of it without points."""
+    around = np.array([(p[0], p[1]) for p in points] or box)
+    low, high = around.min(axis=0), around.max(axis=0)
+    return np.array([np.maximum(box[0], low), np.minimum(box[1], high)])
 
 
 def drawn(points: FloatArray) -> bool:
@@ -130,14 +162,14 @@ def _svg(data: bytes) -> Drawing:
     sheets = " ".join("".join(e.itertext()) for e in root.iter() if str(e.tag).endswith("style"))
     styles = _styles(sheets[:1_000_000])
     known = {e.get("id"): e for e in root.iter() if e.get("id")}
-    strokes, texts, count = list[Stroke](), list[str](), 0
-    waiting: list[tuple[Any, Any, str, dict[str, str], tuple[str, ...]]]
-    waiting = [(root, Matrix("scale(1,-1)"), "", {}, ())]
+    strokes, texts, cuts, count = list[Stroke](), list[str](), dict[tuple[str, str], Any](), 0
+    waiting: list[tuple[Any, Any, str, dict[str, str], tuple[str, ...], FloatArray]]
+    waiting = [(root, Matrix("scale(1,-1)"), "", {}, (), _ALL)]
     while waiting:
-        e, matrix, layer, style, path = waiting.pop()
+        e, matrix, layer, style, path, box = waiting.pop()
         count += 1
         bounded(max(count, len(strokes)))
-        tag = str(e.tag).rpartition("}")[2]
+        tag = _tag(e)
         style = style | dict(e.attrib)
         classes = [f".{name}" for name in e.get("class", "").split()]
         for name in ("*", tag, *classes, f"#{e.get('id', '')}"):
@@ -150,6 +182,12 @@ def _svg(data: bytes) -> Drawing:
             continue
         try:
             matrix = Matrix(e.get("transform", "")) * matrix
+            key = style.pop("clip-path", "").partition("#")[2].rstrip(")\"' "), str(matrix)
+            if key[0] in known:
+                if key not in cuts:
+                    cuts[key] = [point for s in _cut(known[key[0]], matrix) for point in s.points]
+                    count += len(cuts[key])
+                box = _within(box, cuts[key])
             label = next((v for k, v in e.items() if k.endswith("}label")), e.get("id", ""))
             if tag in ("g", "svg", "a", "symbol", "switch"):
                 layer = f"{label} / {layer}" if layer and label else layer or label
@@ -159,11 +197,12 @@ def _svg(data: bytes) -> Drawing:
                     raise MapError(f"the element {name[:40]} is part of itself")
                 place = Matrix(f"translate({e.get('x', 0)},{e.get('y', 0)})")
                 if name in known:
-                    waiting.append((known[name], place * matrix, layer, style, (*path, name)))
+                    waiting.append((known[name], place * matrix, layer, style, (*path, name), box))
                 continue
             inherited = {k: v for k, v in style.items() if k in _INHERITED}
-            waiting += [(child, matrix, layer, inherited, path) for child in reversed(e)]
-            strokes += _shaped(e, tag, matrix, layer, style)
+            waiting += [(child, matrix, layer, inherited, path, box) for child in reversed(e)]
+            shapes = _shaped(e, tag, matrix, layer, style)
+            strokes += [part for stroke in shapes for part in clipped(stroke, box)]
         except (ValueError, TypeError, ArithmeticError, IndexError, AttributeError) as error:
             raise MapError(f"its element {tag} cannot be read: {str(error)[:80]}") from None
     return Drawing(strokes, _stated(_paper(root), texts), page=True)
@@ -187,8 +226,7 @@ def _paper(root: Any) -> float:
 def _styles(sheet: str) -> dict[str, dict[str, str]]:
     """Properties by `tag`, `.class` and `#id`, the last part of each selector."""
     out = dict[str, dict[str, str]]()
-    first, *others = sheet.split("/*")  # comments
-    for rule in (first + " ".join(c.partition("*/")[2] for c in others)).split("}"):
+    for rule in re.sub(r"(?s)/\*.*?(\*/|$)", " ", sheet).split("}"):  # without comments
         selectors, _, rules = rule.rpartition("{")
         for selector in selectors.split(","):
             if last := re.search(r"([.#]?[\w-]+|\*)$", selector.rstrip()[-99:]):
@@ -220,6 +258,19 @@ def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) ->
     dashed = style.get("stroke-dasharray", "none") not in ("none", "0", "")
     for points in _ways(shape, matrix):
         yield Stroke(points, layer, filled, dashed, wide)
+
+
+def _cut(clip: Any, matrix: Any) -> Iterator[Stroke]:
+    """The lines of what others are cut to."""
+    from svgelements import Matrix
+
+    for part in clip:
+        at = Matrix(part.get("transform", "")) * matrix
+        yield from _shaped(part, _tag(part), at, "", {"fill": "none", "stroke": "black"})
+
+
+def _tag(e: Any) -> str:
+    return str(e.tag).rpartition("}")[2]
 
 
 def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:
@@ -261,12 +312,13 @@ def _pdf(data: bytes) -> Drawing:
         for number in range(min(len(document), _PAGES)):
             page = document[number]
             texts.append(page.get_textpage().get_text_bounded()[:100_000])
-            strokes += _page(raw, page.raw, low)
+            strokes += _page(raw, page, low)
             low -= 3 * page.get_height()
             bounded(len(strokes))
     except pypdfium2.PdfiumError as error:
         raise MapError(f"it cannot be read as PDF: {error}") from None
-    return Drawing(strokes, _stated(_MM["pt"] / 1000, texts), page=True)
+    lacks = () if strokes else ("images or text: save it as PNG, of which maps are made, too",)
+    return Drawing(strokes, _stated(_MM["pt"] / 1000, texts), page=True, missing=lacks)
 
 
 def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
@@ -275,21 +327,28 @@ def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
 
     from svgelements import Matrix
 
-    first = Matrix(f"translate(0,{low})")
-    waiting = [
-        (raw.FPDFPage_GetObject(page, k), first, 0) for k in range(raw.FPDFPage_CountObjects(page))
-    ]
-    count = 0
+    first, count = Matrix(f"translate(0,{low})"), 0
+    n, ends = raw.FPDFPage_CountObjects(page.raw), np.array(page.get_cropbox()).reshape(2, 2)
+    waiting = [(raw.FPDFPage_GetObject(page.raw, k), first, 0, ends + (0, low)) for k in range(n)]
     while waiting:
-        obj, outer, deep = waiting.pop()
+        obj, outer, deep, box = waiting.pop()
         count += 1
         bounded(count)
-        m, kind = raw.FS_MATRIX(), raw.FPDFPageObj_GetType(obj)
+        m, kind, clip = (
+            raw.FS_MATRIX(),
+            raw.FPDFPageObj_GetType(obj),
+            raw.FPDFPageObj_GetClipPath(obj),
+        )
+        for k in range(raw.FPDFClipPath_CountPaths(clip)):
+            n = min(raw.FPDFClipPath_CountPathSegments(clip, k), MOST)
+            parts = (raw.FPDFClipPath_GetPathSegment(clip, k, at) for at in range(n))
+            box = _within(box, [outer.point_in_matrix_space(_point(raw, part)) for part in parts])
         raw.FPDFPageObj_GetMatrix(obj, m)
         matrix = Matrix(m.a, m.b, m.c, m.d, m.e, m.f) * outer
         if kind == raw.FPDF_PAGEOBJ_FORM and deep < DEEP:
             n = raw.FPDFFormObj_CountObjects(obj)
-            waiting += [(raw.FPDFFormObj_GetObject(obj, k), matrix, deep + 1) for k in range(n)]
+            objects = (raw.FPDFFormObj_GetObject(obj, k) for k in range(n))
+            waiting += [(inner, matrix, deep + 1, box) for inner in objects]
         elif kind == raw.FPDF_PAGEOBJ_PATH:
             mode, drawn, wide = c_int(), c_int(), c_float()
             rgba = [c_uint() for _ in range(4)]
@@ -301,23 +360,29 @@ def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
             width = wide.value * abs(matrix.determinant) ** 0.5 if drawn.value else 0.0
             if filled or drawn.value:
                 for points in _ways(_path(raw, obj), matrix):
-                    yield Stroke(points, "", filled, dashed, width)
+                    yield from clipped(Stroke(points, "", filled, dashed, width), box)
 
 
 def _path(raw: Any, obj: Any) -> str:
     """A path of a PDF as SVG writes it."""
-    from ctypes import c_float
-
     letters = {raw.FPDF_SEGMENT_MOVETO: "M", raw.FPDF_SEGMENT_LINETO: "L"}
-    x, y, out, curve = c_float(), c_float(), list[str](), 0
+    out, curve = list[str](), 0
     for k in range(min(raw.FPDFPath_CountSegments(obj), MOST)):
         segment = raw.FPDFPath_GetPathSegment(obj, k)
-        raw.FPDFPathSegment_GetPoint(segment, x, y)
+        x, y = _point(raw, segment)
         letter = letters.get(raw.FPDFPathSegment_GetType(segment), " " if curve % 3 else "C")
         curve = 0 if letter in "ML" else curve + 1
-        out.append(f"{letter}{x.value:.9g},{y.value:.9g}")
+        out.append(f"{letter}{x:.9g},{y:.9g}")
         out.append("z" if raw.FPDFPathSegment_GetClose(segment) else "")
     return " ".join(out)
+
+
+def _point(raw: Any, segment: Any) -> tuple[float, float]:
+    from ctypes import c_float
+
+    x, y = c_float(), c_float()
+    raw.FPDFPathSegment_GetPoint(segment, x, y)
+    return x.value, y.value
 
 
 READERS: dict[str, Callable[[bytes], Drawing]] = {".dxf": _dxf, ".svg": _svg, ".pdf": _pdf}

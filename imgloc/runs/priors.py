@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.files import PathLike
 from imgloc.model import BoolArray, FloatArray, OccupancyGrid
-from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Prior
+from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Prior, Radius, Turn
+from imgloc.ranges import require
 from imgloc.runs.localize import region_of
 from imgloc.search.priors import prior_of
 
@@ -54,6 +55,7 @@ def near(
         If a number is out of its range.
     """
     if sd is not None:
+        require(tuple[Radius, Turn], sd, "sd")
         return prior_of(Known(hints=(Hint(x, y, theta, *sd, weight),)), _grid(place))
     return prior_of(Known(near=(x, y, math.fmod(theta, math.tau), radius, tolerance)), _grid(place))
 
@@ -97,4 +99,6 @@ def region(
 
 
 def _grid(place: OccupancyGrid | MapFeatures) -> OccupancyGrid:
-    return place.grid if isinstance(place, MapFeatures) else place
+    grid = place.grid if isinstance(place, MapFeatures) else place
+    expect(grid, OccupancyGrid, "place")
+    return grid

@@ -5,19 +5,21 @@ much finer image than the map, :func:`refine_grid` of it or a world's polygons r
 """
 
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError, MapError, expect
+from imgloc.errors import MapError, expect
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.geometry import transform_poses, values_at
 from imgloc.io.maps import bundled_maps
-from imgloc.io.scanset import ScanSet
+from imgloc.io.scanset import MAX_READINGS, ScanSet
 from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import Sensor
+from imgloc.options import Seed, Sensor
+from imgloc.ranges import Within, require
 from imgloc.simulation.worlds import WORLDS, render
 
 FINE = 0.01  #: cells on which scans are simulated, metres
@@ -51,7 +53,8 @@ def simulate(
     Raises
     ------
     MapError, ConfigError
-        If no pose has the clearance; if a parameter of the sensor or the seed is out of its range.
+        If no pose has the clearance; if a parameter of the sensor, the seed or `n` is out of its
+        range.
 
     Examples
     --------
@@ -60,9 +63,9 @@ def simulate(
     ((181,), (2, 3))
     """
     expect(grid, OccupancyGrid, "grid")
-    if seed < 0:
-        raise ConfigError(f"the seed must be at least 0, got {seed}")
     sensor = sensor or Sensor()
+    require(Annotated[int, Within(1, MAX_READINGS // sensor.rays, "scans")], n, "n")
+    require(Seed, seed, "seed")
     angles = ray_angles(sensor.rays, sensor.fov)
     seeds = np.random.SeedSequence(seed).generate_state(2)
     poses = sample_free_poses(grid, n, int(seeds[0]), sensor.clearance, sensor.mount)

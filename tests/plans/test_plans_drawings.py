@@ -41,7 +41,7 @@ def strokes() -> list[tuple[str, list[tuple[float, float]]]]:
     for x, y in ((1, 2), (7, 1), (8, 3)):
         table = [(x, y), (x + 1.2, y), (x + 1.2, y + 0.7), (x, y + 0.7), (x, y)]
         out.append(("FURNITURE", table))
-    return [*out, ("DIM", [(0, -1), (10.6, -1)])]
+    return [*out, ("DIM", [(0, -1), (10.6, -1)]), ("WALLS", [(4, -3), (4, 7.4)])]  # an axis
 
 
 def dxf(path: Path, unit: float = 0.001, header: int = 4, names: dict[str, str] | None = None,

@@ -58,6 +58,13 @@ def align(
     The maps may have other resolutions, origins, wall thicknesses, be turned by any angle, and
     overlap in part. The pose of B's frame in A's comes with a verdict: unique, ambiguous (another
     place agrees about as well) or no-match (walls contradict each other, as in two buildings).
+
+    Examples
+    --------
+    imgloc map align office.yaml office-new.yaml --picture both.png
+    imgloc map align new.yaml old.yaml --move waypoints.csv --out waypoints-new.csv
+    imgloc map align a.yaml b.yaml --scans run.bag --json
+    imgloc map align a.yaml drawing.yaml --scale --write drawing-in-a.yaml
     """
     from imgloc.cli import inputs
     from imgloc.io.maps import reading_of, resolve_settings

@@ -40,6 +40,12 @@ def atlas(
     Simulates a scan at each place and heading and locates it without a guess: unique (one pose, the
     right one), ambiguous (several places fit, drawn red), no-match, or wrong (unique, but
     elsewhere). Blue is the darker, the more exact a pose by one scan can be there.
+
+    Examples
+    --------
+    imgloc atlas office.yaml --out atlas.png
+    imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360
+    imgloc atlas visibility --out atlas.png --range-max 5 --json
     """
     from imgloc.cli import inputs
     from imgloc.lab.atlas import Spot, as_csv, simulate_at, summarise, survey

@@ -83,6 +83,13 @@ def calibrate(
 
     If others drew the map and no scan fits by itself, give scans with odometry. Together they show
     how thick and how bent the walls are, and how well scans fit this map at their best.
+
+    Examples
+    --------
+    imgloc calibrate office.yaml
+    imgloc calibrate office.yaml --method ght-v,beam --rays 360 --fov-deg 360 --range-max 12
+    imgloc calibrate floor1.yaml floor2.yaml -n 15 --json
+    imgloc calibrate curved visibility --dry-run
     """
     from imgloc.cli import inputs
     from imgloc.io.calibration import save_calibrations

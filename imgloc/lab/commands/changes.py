@@ -43,6 +43,12 @@ def changes(
     not counted. Of a file with more than 300 such scans 300 are taken, evenly spread.
     A scan counts once: one with the same stamp, ranges and angles as another, in a file before, is
     left out.
+
+    Examples
+    --------
+    imgloc map changes office.yaml run.log --out aged.png
+    imgloc map changes office.yaml monday.bag tuesday.bag --update office-mended.yaml
+    imgloc map changes office.yaml scans.npz --range-max 20 --json
     """
     import numpy as np
 

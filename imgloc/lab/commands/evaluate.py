@@ -71,6 +71,14 @@ def evaluate(
     true pose is in a cell that is not free on the map. The paper's methods try a heading every 3
     degrees (cbml, cbml-o, beam) or 30 (ght, ght-v). Only the columns under "cost" differ between
     runs. Scans that are simulated here reach 30 m, or --range-max.
+
+    Examples
+    --------
+    imgloc evaluate curved visibility large --method cbml,cbml-o,ght,ght-v,beam
+    imgloc evaluate office.yaml -n 50 --method fused --range-max 10 --tolerance 0.3,10
+    imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl
+    imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --method fused,ght-v
+    imgloc evaluate curved --method ght,ght-v --theta-step-deg 10 --cell 0.2
     """
     from imgloc.cli import inputs
     from imgloc.io.badlines import warned
