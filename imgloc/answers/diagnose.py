@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from imgloc.answers.causes import Cause, Given, cause
-from imgloc.answers.scanmotion import TRIED, VIEWS, agreement, scaled_better, widened
+from imgloc.answers.scanmotion import POOR, TRIED, VIEWS, agreement, scaled_better, widened
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import looks_drawn, looks_swapped
@@ -37,7 +37,6 @@ _AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, deg
 # Medians above which ranges are no metres, may be millimetres, and are no centimetres; of them the
 # share whose greatest is the longest one, and metres that no sensor sees.
 _LONG, _ROOM, _HALL, _NEARER, _UNSEEN = number("diagnose.long")
-MIRRORED = number("diagnose.mirrored")  # share that scans which agree with the odometry have
 UNITS = {"millimetres": 0.001, "centimetres": 0.01, "feet": 0.3048, "inches": 0.0254}  #: metres
 # The first ones are tried together: from one to the next, scans fit with a scale between.
 _FACTORS = (0.9, 1.1, 0.8, 1.25, 0.7, 1.4), (
@@ -320,7 +319,7 @@ class _Trial:
         agrees, odom = math.nan, self.log.odom
         if odom is not None and np.isfinite(odom).all():
             agrees = agreement(self.log, odom).share
-        key = "mirrored/map" if agrees >= MIRRORED else "mirrored"
+        key = "mirrored/map" if agrees >= POOR else "mirrored"
         return cause(key, self.given, fits=self.fits)
 
     def scale(self) -> Cause | None:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.explain import RayFit, explain_rays
-from imgloc.answers.truth import APART
+from imgloc.answers.truth import steps_around
 from imgloc.equality import ByContent
 from imgloc.errors import expect
 from imgloc.features.mapfeatures import MapFeatures
@@ -28,13 +28,12 @@ from imgloc.features.scanpoints import one_per_place
 from imgloc.geometry import in_grid_frame, transform_points, transform_poses
 from imgloc.model import FloatArray, LaserScan, Pose2D, plain
 from imgloc.numbers import number
-from imgloc.options import Options, Prior, Shared
+from imgloc.options import FusedOptions, Options, Prior, Shared
 from imgloc.search.priors import stands
 from imgloc.search.refine import FROM_CELLS, refine
 from imgloc.search.rescore import score_readings
 from imgloc.search.weigh import explained_rays
 
-_AROUND = number("fit.around")
 _CLOSER = number("fit.closer")  # part of these for a second look, around the best of the first
 
 
@@ -124,9 +123,6 @@ def fit_at(
 
 def _starts() -> FloatArray:
     """Steps (N, 3) to poses around one, metres and radians."""
-    x, y, turn = (
-        np.arange(-most, most + step / 2, step)
-        for most, step in zip(np.take(_AROUND, (0, 0, 1)), np.take(APART, (0, 0, 1)), strict=True)
-    )
-    steps = np.stack(np.meshgrid(x, y, turn), axis=-1).reshape(-1, 3)
-    return np.asarray(steps[np.hypot(steps[:, 0], steps[:, 1]) <= _AROUND[0] * (1 + 1e-9)])
+    far, (along, turn) = FusedOptions.separation, steps_around(FusedOptions.separation)
+    steps = np.stack(np.meshgrid(along, along, turn), axis=-1).reshape(-1, 3)
+    return np.asarray(steps[np.hypot(steps[:, 0], steps[:, 1]) <= far[0] * (1 + 1e-9)])

@@ -50,7 +50,7 @@ _BODY = number("logcheck.body")
 _FEW, _CLOSE = number("logcheck.few")
 _STANDS = number("logcheck.stands")
 _BARS = 40  # of the picture of the ranges
-_MANY = number("logcheck.many")
+MANY = number("logcheck.many")
 _OLD = number("logcheck.old")
 FOLLOWED: float = number("logcheck.followed")
 """Share of unique poses from which a robot counts as followed, so that nothing is looked for."""
@@ -123,7 +123,7 @@ def check_log(scans: ScanSet, notes: Sequence[Cause] = (), given: Given | None =
     _about_lasers(scans, findings)
     edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), _BARS + 1)
     histogram = np.histogram(_seen(scans), edges)[0].astype(np.float64), edges
-    best = int(np.argmax([scan.directions for scan in scans.scans[:_MANY]]))
+    best = int(np.argmax([scan.directions for scan in scans.scans[:MANY]]))
     return LogReport(facts, tuple(_sorted(findings)), histogram, path, best)
 
 
@@ -256,7 +256,7 @@ def _sorted(findings: Sequence[Cause]) -> list[Cause]:
 
 def _some(scans: ScanSet) -> Sequence[LaserScan]:
     """At most so many scans of a log, from all of it."""
-    return scans.scans[:: max(1, len(scans) // _MANY)]
+    return scans.scans[:: max(1, len(scans) // MANY)]
 
 
 def _seen(scans: ScanSet) -> FloatArray:

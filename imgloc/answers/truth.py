@@ -17,7 +17,7 @@ from imgloc.numbers import number
 from imgloc.options import EvidenceModel
 
 _LOG = logging.getLogger("imgloc")
-_AROUND, APART = number("truth.around"), number("truth.apart")
+_AROUND, _APART = number("truth.around"), number("truth.apart")
 _SHARE, _BEST = number("truth.fits")
 #: What may be wrong with all scans of a file, and what mends it.
 WAYS: Mapping[str, Callable[[LaserScan], LaserScan]] = {
@@ -100,6 +100,13 @@ def near_walls(grid: OccupancyGrid) -> BoolArray:
     return np.pad(cv2.dilate(grid.occupied.astype(np.uint8), disc).astype(bool), 1)
 
 
+def steps_around(far: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Steps on both sides of 0 and 0 itself, at most `far`: metres (N,), and radians (M,)."""
+    some = (math.floor(most / step) for most, step in zip(far, _APART, strict=True))
+    along, turn = (np.arange(-n, n + 1) * step for n, step in zip(some, _APART, strict=True))
+    return along, turn
+
+
 def shares_around(
     walls: BoolArray, resolution: float, xy: FloatArray, pose: FloatArray
 ) -> tuple[float, float]:
@@ -107,10 +114,7 @@ def shares_around(
 
     The second is the greatest share at the poses around it.
     """
-    steps, turns = (
-        np.arange(-math.floor(far / step), math.floor(far / step) + 1) * step
-        for far, step in zip(_AROUND, APART, strict=True)
-    )
+    steps, turns = steps_around(_AROUND)
     cos, sin = np.cos(pose[2] + turns)[:, None, None], np.sin(pose[2] + turns)[:, None, None]
     x = cos * xy[:, 0] - sin * xy[:, 1] + (pose[0] + steps)[:, None]
     y = sin * xy[:, 0] + cos * xy[:, 1] + (pose[1] + steps)[:, None]

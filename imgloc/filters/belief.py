@@ -93,7 +93,6 @@ def belief_of(
     mass: FloatArray,
     *,
     sure: float,
-    lost: bool,
     doubted: bool,
     neff: float,
     resets: int,
@@ -108,8 +107,6 @@ def belief_of(
         Probability of each pose.
     sure : float
         Mass, 0..1, from which the first place is ``unique``, unless it is `doubted`.
-    lost : bool
-        Whether the best place does not explain the scan.
     doubted : bool
         Whether the best place fits much worse than usual.
     neff : float
@@ -120,7 +117,7 @@ def belief_of(
     Examples
     --------
     >>> poses = np.array([[0, 0, 3.1], [0.1, 0, -3.1], [9, 9, 0.0]])
-    >>> b = belief_of(poses, np.array([0.5, 0.3, 0.2]), sure=0.9, lost=False, doubted=False,
+    >>> b = belief_of(poses, np.array([0.5, 0.3, 0.2]), sure=0.9, doubted=False,
     ...               neff=3, resets=0)
     >>> b.verdict, b.mass.tolist(), b.poses.round(2).tolist()[0]
     ('ambiguous', [0.8, 0.2], [0.04, 0.0, 3.13])
@@ -141,7 +138,7 @@ def belief_of(
     order = np.argsort(-shares, kind="stable")
     out = np.array(means).reshape(-1, 3)[order]
     out[:, 2] = wrap(out[:, 2])
-    verdict = LOST if lost or not len(order) else AMBIGUOUS
+    verdict = AMBIGUOUS if len(order) else LOST
     if verdict == AMBIGUOUS and not doubted and shares[order[0]] >= sure:
         verdict = UNIQUE
     covariance = np.array(spreads).reshape(-1, 3, 3)[order]

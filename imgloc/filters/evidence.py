@@ -8,8 +8,10 @@ sensor are one.
 too thick are allowed for by the features that a filter takes.
 """
 
+import math
 from collections.abc import Generator
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from imgloc.options import RADIUS, TOLERANCE, FusedOptions, Options
 from imgloc.pipeline import find_modes, find_modes_by_steps
 from imgloc.search.hypotheses import masses
 from imgloc.search.modes import Modes
+from imgloc.search.protection import SHARES
 from imgloc.search.refine import FROM_CELLS, WIDTHS, endpoints, refine
 from imgloc.search.rescore import score_poses, score_readings
 from imgloc.search.weigh import covariances_there, evidence_of
@@ -30,14 +33,30 @@ from imgloc.search.weigh import covariances_there, evidence_of
 _FEW = FusedOptions.few_rays  # readings of the first look around a pose
 # Step between the poses of the first look, metres and radians.
 _STEP: tuple[float, float] = number("evidence.step")
-GATE: float = number("TrackerOptions.gate")
-"""Squared Mahalanobis distance up to which a pose may belong to a Gaussian."""
 _MOST = number("evidence.most")  # poses of all first looks together, to limit the time
 _CLOSER = number("evidence.closer")  # poses of a first look that are refined
 DEVIATION: tuple[float, float] = FusedOptions.separation
 """Standard deviations of a pose of which none is known: metres and radians."""
 # Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")
+
+
+def chi_square(level: float) -> float:
+    """Square of the distance within which a Gaussian of three dimensions lies with a probability.
+
+    Wilson and Hilferty (1931) have it to one part in 400; `level` is 0..1.
+
+    Examples
+    --------
+    >>> round(chi_square(0.99), 2)
+    11.37
+    """
+    return 3.0 * float(1 - 2 / 27 + NormalDist().inv_cdf(level) * math.sqrt(2 / 27)) ** 3
+
+
+_, _LEVEL, _ = SHARES
+GATE = chi_square(_LEVEL)
+"""Squared Mahalanobis distance up to which a pose may belong to a Gaussian: 99 % of it."""
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,8 @@ _BUFFERS = 1000  # scans of a laser that are remembered, because a driver may re
 _FAR, _TURN = PLACE
 _NEAR, _SHARE = number("follow.stale")
 _CHANGES: float = number("follow.changes")
-_LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's
 _FEW = 90  # rays whose expected readings are compared
 _SMOOTH: float = number("follow.smooth")  # metres by which a scan without noise leaves a line
-_LOOKS = 5  # places of the belief that are asked
 
 
 class Repeats:
@@ -139,12 +137,12 @@ def dragged(belief: Belief, place: FloatArray | None, step: FloatArray) -> float
 def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatArray) -> bool:
     """Return whether a scan that has not changed should have, as the robot moved by `step` (3,).
 
-    It should if the map expects other readings at each place that the belief holds. A short step is
-    prolonged, because a map shows no change within a cell.
+    It should if the map expects other readings at the best place. A short step is prolonged: a map
+    shows no change within a cell.
     """
     way = way_of(step)
-    places = belief.poses[:_LOOKS][belief.mass[:_LOOKS] > _LEAST * belief.mass.max(initial=0.0)]
-    if not len(places):
+    place = belief.poses[:1]
+    if not len(place):
         return True
     longer = step * max(1.0, float((np.array((_FAR, _TURN)) / np.maximum(way, 1e-9)).min()))
     mount, angles = np.array([*scan.mount]), scan.angles[scan.valid | scan.no_return]
@@ -157,6 +155,6 @@ def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatAr
         seen = cast_rays(features.walls, at[:, None, :2], rays, reach, cell)
         return np.minimum(seen.astype(np.float64), reach)
 
-    now, then = expected(places), expected(compose_poses(places, invert_poses(longer)))
+    now, then = expected(place), expected(compose_poses(place, invert_poses(longer)))
     changed = np.abs(now - then) > max(_NEAR, 2 * cell)
-    return bool((changed.mean(axis=1) >= _CHANGES).all()) if len(angles) else True
+    return bool(changed.mean() >= _CHANGES) if len(angles) else True

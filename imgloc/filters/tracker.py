@@ -74,18 +74,18 @@ class TrackerOptions(Checked):
     """Settings of the tracker."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    #: metres and radians of motion after which all of a scan's evidence is new
+    #: metres and radians of motion after which all of a scan's evidence is new. A ``unique``
+    #: component with which no scan has agreed for so many metres is so no longer.
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
     #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall, unless
     #: the robot was given a pose at the start
     blurred: Factor = number("TrackerOptions.blurred")
     #: share of a scan's evidence that counts without any motion
     least: Share = number("TrackerOptions.least")
-    #: most nats that one scan can take from a component
-    drop: Nats = number("TrackerOptions.drop")
     #: probability that the robot is carried off during one scan's worth of motion: usually, and if
     #: the best component fits abruptly worse than in the scan before. A changed place fits worse
-    #: step by step, because the robot drives up to it.
+    #: step by step, because the robot drives up to it. One scan takes no more nats from a component
+    #: than the first one is worth: somebody may stand in the way.
     leak: tuple[Share, Share] = number("TrackerOptions.leak")
     #: standard deviations of the map's error that all scans share, metres and radians
     error: tuple[Metres, Radians] = number("TrackerOptions.error")
@@ -102,7 +102,8 @@ class TrackerOptions(Checked):
     #: scans in a row that must agree if the last ``unique`` pose was at another place, because a
     #: building that repeats fits for some metres at the wrong bay
     again: Count = number("TrackerOptions.again")
-    #: distance from which a pose is at another place: metres, and metres for each metre driven
+    #: distance from which a pose is at another place: metres, and metres for each metre driven. So
+    #: many metres and seconds without sight, added, change nothing: scans are lost now and then.
     elsewhere: tuple[Metres, Share] = number("TrackerOptions.elsewhere")
     #: metres between two searches of the whole map while the best component is unique: the first
     #: distance, and the greatest. It doubles after each search that leaves it unique. Between
@@ -120,10 +121,6 @@ class TrackerOptions(Checked):
     #: odometry may turn out worse than `noise`: weight of one scan in the running estimate of its
     #: variance, and the largest factor on the variance
     learn: tuple[Share, Factor] = number("TrackerOptions.learn")
-    #: most metres since a scan agreed with a ``unique`` component
-    stale: Metres = number("TrackerOptions.stale")
-    #: metres and seconds without sight, added, that change nothing: scans are lost now and then
-    blink: Metres = number("TrackerOptions.blink")
     #: probability that the robot was carried off: for each second without sight, at most for all
     #: such seconds, and after a sudden error of odometry, which may be the next bay of a building
     #: that repeats
@@ -317,12 +314,13 @@ class Tracker:
             self._unseen = 0.0
             return
         before, self._unseen = self._unseen, self._unseen + dark + seconds
-        if self._unseen <= self.how.blink:
+        blink = self.how.elsewhere[0]
+        if self._unseen <= blink:
             return
         self._way = self._blinded = 0.0
         self._followed = np.minimum(self._followed, max(0.0, first - self._unseen))
         self._agreed, self._dark = 0, True
-        if before <= self.how.blink:
+        if before <= blink:
             seconds += before
         self._doubt_place(min(most, self._lost + rate * seconds))
 
@@ -447,7 +445,7 @@ class Tracker:
         mapped = bool(self._mapped(gained[np.argmax(self._mass)] if known else seen.gained))
         elsewhere = ~self._same(poses[2 * known :, None], poses[: 2 * known]).any(axis=1)
         best = max(fit.max(initial=-np.inf), log[2 * known :][elsewhere].max(initial=-np.inf))
-        gain = np.maximum((fit - best) * new, -how.drop)
+        gain = np.maximum((fit - best) * new, np.log(how.leak[0]))
         lost = self._lost + leak * (1 - self._lost)
         mass = self._mass * np.exp(gain)
         if known:
@@ -670,7 +668,7 @@ class Tracker:
         if not len(new):
             return
         log = seen.log_likelihood[new]
-        share = masses(np.maximum((log - log.max()) * fresh, -self.how.drop), 1.0)
+        share = masses(np.maximum((log - log.max()) * fresh, np.log(self.how.leak[0])), 1.0)
         elsewhere = trust.mass_elsewhere(seen.gained, float(share.max()))
         given = self._lost * (1 - elsewhere)
         if given < _NOTHING:
@@ -714,7 +712,7 @@ class Tracker:
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
         elif not self._lasers.doubted and self._agreed >= self._needed(self._poses[order[0]]):
-            held = self._followed[order[0]] >= self.how.sure[0] and self._since <= self.how.stale
+            held = self._followed[order[0]] >= self.how.sure[0] and self._since <= self.how.fresh[0]
             held &= self._explained[0] >= self.how.explained[1] * self._explained[1]
             verdict = UNIQUE if held else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))

@@ -27,7 +27,7 @@ _SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
 _LOOKS: tuple[int, int] = number("watch.looks")
 _CHANCE: float = number("watch.chance")
-_LEAD = math.log((1 - _CHANCE) / _CHANCE)  # nats
+_LEAD = math.log1p(-_CHANCE) - math.log(_CHANCE)  # nats
 
 
 @dataclass(frozen=True)

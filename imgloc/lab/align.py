@@ -55,7 +55,7 @@ from imgloc.numbers import number
 from imgloc.options import FusedOptions
 from imgloc.search.weigh import MODES
 
-_CELL, _BLUR = number("align.cell"), number("align.blur")  # metres, of the correlation
+_CELL: float = number("align.cell")  # metres: cell and blur of the correlation
 _PLACES, _FOLLOWED = MODES, number("align.followed")  # refined, and bent
 _WIDTHS = number("align.widths")  # of the kernel of the refinement and the patches, metres
 _PATCH, _REACH = number("align.patch")  # metres between patches, and of their weights
@@ -140,12 +140,11 @@ def propose(
     reach = float(np.hypot(*(scale * b.xy - middle).T).max())
     low, high = a.xy.min(axis=0) - reach, a.xy.max(axis=0) + reach
     cell = rough * max(_CELL, 2 * a.grid.resolution, float((high - low).max()) / _SIDE)
-    blur = _BLUR / _CELL  # cells
-    shape = tuple(fft.next_fast_len(math.ceil(n / cell + 8 * blur)) for n in (high - low)[::-1])
+    shape = tuple(fft.next_fast_len(math.ceil(n / cell + 8)) for n in (high - low)[::-1])
     image = _directions((a.xy - low) / cell, a.alpha, shape)
-    parts = [cv2.GaussianBlur(part.copy(), (0, 0), blur) for part in (image.real, image.imag)]
+    parts = [cv2.GaussianBlur(part.copy(), (0, 0), 1.0) for part in (image.real, image.imag)]
     spectrum = fft.fft2(parts[0] + 1j * parts[1])
-    step = rough * float(np.clip(2 * blur * cell / reach, *np.deg2rad((0.5, 2.0))))
+    step = rough * float(np.clip(2 * cell / reach, *np.deg2rad((0.5, 2.0))))
     count = math.ceil(math.pi / step)
     found = []
     for theta in np.arange(count) * (math.pi / count):

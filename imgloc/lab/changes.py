@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.answers.causes import Cause, cause
+from imgloc.answers.logcheck import MANY
 from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, expect
 from imgloc.features.distance import distance_image
@@ -57,8 +58,6 @@ _PLACE, _TIME = number("changes.place")  # metres and seconds, within which scan
 # For a hint that the map has aged: scans, metres of wall surface, and share of it that is gone.
 # The second share is that of a map of another place.
 _HINT_SCANS, _HINT_WALLS, _HINT_GONE, _OTHER = number("changes.hint")
-_LOOKED_AT: int = number("changes.looked_at")  # scans, at most
-_PIECE = number("changes.piece")  # metres: smaller pieces are noise
 
 Counts = npt.NDArray[np.uint16]
 
@@ -198,7 +197,7 @@ def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArra
     """
     if len(scans) < _HINT_SCANS:
         return None
-    some = evenly(len(scans), _LOOKED_AT)
+    some = evenly(len(scans), MANY)
     found = map_changes(grid, [scans[k] for k in some], poses[some])
     if found.seen_m < _HINT_WALLS or found.gone_share < _HINT_GONE:
         return None
@@ -337,8 +336,8 @@ def _parts(mask: BoolArray) -> tuple[int, Any, Any, Any]:
 
 
 def _large(mask: BoolArray, cell: float) -> BoolArray:
-    """A mask without parts that are shorter than a piece."""
+    """A mask without parts that are no longer than an endpoint may lie off its wall."""
     _, labels, boxes, _ = _parts(mask)
-    keep = boxes[:, 2:4].max(axis=1) * cell >= _PIECE - 1e-9
+    keep = boxes[:, 2:4].max(axis=1) * cell >= _SHORT - 1e-9
     keep[0] = False
     return np.asarray(keep[labels])

@@ -9,10 +9,10 @@
 """
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Annotated
 
 import numpy as np
-from scipy.special import ndtri
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError
@@ -140,7 +140,9 @@ class ParticleFilter(ScannedFilter):
         how, rng = self.how, self._rng
         kept = self.poses[low_variance(self.weights, how.most, rng)]
         bins = len(first_in_cell(kept, *self.options.fused.separation))
-        n = int(np.clip(kld_bound(bins, how.error, ndtri(MASS[0])), how.least, how.most))
+        n = int(
+            np.clip(kld_bound(bins, how.error, NormalDist().inv_cdf(MASS[0])), how.least, how.most)
+        )
         anew = round(share * n)
         spread = np.array([how.jitter[0], how.jitter[0], how.jitter[1]])
         old = self.poses[low_variance(self.weights, n - anew, rng)]

@@ -34,8 +34,6 @@ class ScannedOptions(Checked):
     least_new: Share = number("ScannedOptions.least_new")
     #: nats per reading by which the misfit of a ``unique`` place may exceed the usual one
     surprise: Nats = MORE
-    #: largest misfit, nats per reading, at which the filter is not ``lost``
-    misfit: Nats = number("ScannedOptions.misfit")
 
 
 class ScannedFilter(ABC):
@@ -133,7 +131,7 @@ class ScannedFilter(ABC):
         how, last = self._how, self._last
         strange = last.last > last.usual + how.surprise
         return belief_of(
-            poses, mass, sure=Trust.mass, lost=last.last > how.misfit,
+            poses, mass, sure=Trust.mass,
             doubted=bool(self.unsure) or strange or self._followed.metres < SURE,
             neff=neff, resets=self._resets,
         )  # fmt: skip

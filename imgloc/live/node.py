@@ -41,7 +41,7 @@ from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, LastPose, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
-from imgloc.live.settings import CHANGING, LATE, WITHOUT_ODOMETRY, Settings
+from imgloc.live.settings import CHANGING, LATE, Settings
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
@@ -459,7 +459,7 @@ class LocalizerNode:
         if link is None and laser.mount is None:
             return None, None, f"transforms from {base} to {one.frame}"
         odom = self._moves.at(stamp)
-        silent = not self._moved and time.monotonic() > self._first + WITHOUT_ODOMETRY
+        silent = not self._moved and time.monotonic() > self._first + LATE
         if odom is None and not silent:
             return None, None, "odometry"
         scan = placed(one.scan, self.settings, laser.topic, laser.mount, link)
@@ -507,7 +507,7 @@ class LocalizerNode:
             self._moves.clear()
         elif judged != FINE:
             return
-        if not self._moved and time.monotonic() > self._first + WITHOUT_ODOMETRY:
+        if not self._moved and time.monotonic() > self._first + LATE:
             self._robot.reset()  # until now the scans alone told the motion
         self._moved = True
         self._odom_frame = frame_name(message.header.frame_id) or "odom"

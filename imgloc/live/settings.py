@@ -23,10 +23,9 @@ def _poses(text: str) -> tuple[float, ...]:
     return tuple(value for three in threes for value in pose(three))
 
 
-#: seconds from a scan's arrival until it is left out, if odometry or transforms of its time lack
+#: seconds from a scan's arrival until it is left out, if odometry or transforms of its time lack;
+#: if none has come by then, the scans alone give the motion
 LATE: float = number("live.late")
-#: seconds from the first scan until the scans alone give the motion
-WITHOUT_ODOMETRY: float = number("live.without_odometry")
 #: of one scan that is believed without a second: least mass, and largest radius of 95 %
 ALONE: tuple[float, float] = number("live.alone")
 
