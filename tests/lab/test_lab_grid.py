@@ -112,7 +112,7 @@ def local(name: str) -> np.ndarray:
 def test_it_finds_the_place_and_then_computes_a_box_only() -> None:
     grid = GridFilter(features_of("curved"), how=GridOptions(method="cbml"))
     assert grid.belief.verdict == "lost"
-    for _ in range(6):
+    for _ in range(3):
         grid.see(scan_of("curved"))
         grid.move(np.array([0.0, 0.0, 1e-9]))
         grid.move(np.array([0.0, 0.0, -1e-9]))
@@ -163,7 +163,7 @@ def test_motion_between_two_looks_takes_the_box_along(seen: bool) -> None:
     assert grid.stack.sum() == pytest.approx(1, abs=1e-5)
 
 
-@pytest.mark.parametrize("metres", [5.0, 12.0, 1e4, 1e150])
+@pytest.mark.parametrize("metres", [12.0, 1e150])
 def test_a_jump_of_the_odometry_costs_what_the_map_costs(metres: float) -> None:
     features = features_of("large")  # wide: loops over all that the jump may be take minutes
     grid = GridFilter(features)

@@ -144,10 +144,9 @@ def test_the_command_runs_there(site: Path, address: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("how", ["SIGKILL", "SIGTERM"])
-def test_a_scheduler_that_ends_answers_for_no_item(site: Path, tmp_path: Path, how: str) -> None:
+def test_a_scheduler_that_ends_answers_for_no_item(site: Path, tmp_path: Path) -> None:
     (tmp_path / "scans").mkdir()
-    for k in range(24):
+    for k in range(16):
         shutil.copy(site / "scans" / f"s{k % 12:02d}.npz", tmp_path / "scans" / f"s{k:02d}.npz")
     words = ["batch", site / "post.yaml", tmp_path / "scans", "--out", tmp_path / "out"]
     words += ["--method", "cbml", "--cell", 0.05, "--no-cache"]
@@ -156,19 +155,19 @@ def test_a_scheduler_that_ends_answers_for_no_item(site: Path, tmp_path: Path, h
         run = subprocess.Popen(command([*words, "--dask", there]), stderr=subprocess.PIPE)
         while run.poll() is None and not (rows.exists() and rows.stat().st_size):
             time.sleep(0.005)
-        os.kill(scheduler, signal.Signals[how])
+        os.kill(scheduler, signal.SIGKILL)
         _, said = run.communicate(timeout=60)
     assert run.returncode == 1
     assert said.decode().splitlines() == [
-        "imgloc: 24 items: 1 maps, 24 files of scans",
+        "imgloc: 16 items: 1 maps, 16 files of scans",
         "imgloc: error: the cluster is lost; what is done is kept, --resume goes on",
     ]
     statuses = [row["status"] for row in read_rows(tmp_path / "out")]
-    assert 1 <= len(statuses) < 24
+    assert 1 <= len(statuses) < 16
     assert set(statuses) == {"ok"}
     again = call(*words, "--resume", "--workers", 2)
-    assert again.out.startswith("24 items: 24 ok"), again.err
-    assert f"\n{24 - len(statuses)} new rows" in again.out
+    assert again.out.startswith("16 items: 16 ok"), again.err
+    assert f"\n{16 - len(statuses)} new rows" in again.out
 
 
 def test_no_cluster_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
