@@ -33,7 +33,7 @@ from imgloc.search.weigh import covariances_there, evidence_of
 _FEW = FusedOptions.few_rays  # readings of the first look around a pose
 # Step between the poses of the first look, metres and radians.
 _STEP: tuple[float, float] = number("evidence.step")
-_MOST = number("evidence.most")  # poses of all first looks together, to limit the time
+_MOST = min(FusedOptions.keep)  # poses of all first looks together, to limit the time
 _CLOSER = number("evidence.closer")  # poses of a first look that are refined
 DEVIATION: tuple[float, float] = FusedOptions.separation
 """Standard deviations of a pose of which none is known: metres and radians."""

@@ -20,6 +20,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import sample_motion
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import theta_bin, transform_poses, wrap
 from imgloc.lab.scanned import MASS, ScannedFilter, ScannedOptions
 from imgloc.model import FloatArray, IntArray, LaserScan, inverse
@@ -44,7 +45,7 @@ class ParticleOptions(ScannedOptions):
     #: factor by which the short mean may lie below the long one without a reset
     slack: Factor = number("ParticleOptions.slack")
     #: standard deviations of particles that are drawn again, metres and radians
-    jitter: tuple[Metres, Radians] = number("ParticleOptions.jitter")
+    jitter: tuple[Metres, Radians] = TrackerOptions.error
 
 
 def kld_bound(bins: int, error: float, quantile: float) -> int:

@@ -44,8 +44,8 @@ GAPS: tuple[float, ...] = number("floorplan.gaps")
 SOFT: float = number("floorplan.soft")  #: as wide as it is, a line may be with soft edges
 PEN: float = number("floorplan.pen")  #: metres that lines are wide at most
 ENOUGH: float = number("floorplan.enough")
-LEAST: float = number("floorplan.least")  #: square metres inside a building
 PIECE: float = number("floorplan.piece")  #: metres that a wall is long at least
+LEAST = PIECE * PIECE  #: square metres inside a building
 # Without a doubt: least share of the drawing that is free, greatest share of the ink that is
 # outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
 DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
