@@ -94,14 +94,14 @@ class Field:
         self.start("tools.robot", "listen", "--all", "--write", self.heard_in)
         self.until(self.heard_in.exists)
 
-    def ask(self, *services: str, command: str = "ask") -> list[dict[str, Any]]:
-        command = [sys.executable, "-m", "tools.robot", command, *services]
+    def ask(self, *services: str) -> list[dict[str, Any]]:
+        command = [sys.executable, "-m", "tools.robot", "ask", *services]
         done = subprocess.run(command, env=self.around, cwd=ROOT, capture_output=True, timeout=LONG)
         assert done.stdout, done.stderr
         return [json.loads(line) for line in done.stdout.splitlines()]
 
     def walk(self, *transitions: str) -> list[bool]:
-        return [one["success"] for one in self.ask(*transitions, command="walk")]
+        return [one["success"] for one in self.ask(*transitions)]
 
     def heard(self, topic: str) -> list[dict[str, Any]]:
         return [one for one in lines_of(self.heard_in) if one["topic"] == topic]
