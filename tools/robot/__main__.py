@@ -33,7 +33,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans
 from imgloc.io.maps import bundled_maps
@@ -43,7 +43,6 @@ from tools.robot.listen import Listener
 from tools.robot.play import DISTURBED, FROZEN, WORLD, Player, Playing, to_and_fro, write_to
 from tools.script import at_least_one, ended, parser_of, table_lines
 
-T = TypeVar("T")
 TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 """Of lifecycle_msgs/Transition."""
 _CHANGE = "imgloc/change_state"
@@ -201,7 +200,7 @@ def _restart(given: argparse.Namespace) -> int:
     return int(any(one.wrong for one in every))
 
 
-def _until(given: argparse.Namespace, some: Iterable[T]) -> Iterator[T]:
+def _until(given: argparse.Namespace, some: Iterable[Any]) -> Iterator[Any]:
     """What there is until the time is over."""
     until = time.monotonic() + given.seconds
     for one in some:
