@@ -433,10 +433,9 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     field.played_in.unlink()
     field.play(MAP, path, "--lasers", 1)
     field.until(field.played)
-    code, said = check()
+    code, said = check("--scan", "scan", "--scan", "front", "--sensor", SENSOR)
     assert "ok     map /map: " in said, said
     assert "millimetres" in said, said
-    code, said = check("--scan", "front")
     assert "remap it: -r front:=/scan" in said, said
 
 
