@@ -94,14 +94,14 @@ class Field:
         self.start("tools.robot", "listen", "--all", "--write", self.heard_in)
         self.until(self.heard_in.exists)
 
-    def ask(self, *services: str, command: str = "ask") -> list[dict[str, Any]]:
-        command = [sys.executable, "-m", "tools.robot", command, *services]
+    def ask(self, *services: str) -> list[dict[str, Any]]:
+        command = [sys.executable, "-m", "tools.robot", "ask", *services]
         done = subprocess.run(command, env=self.around, cwd=ROOT, capture_output=True, timeout=LONG)
         assert done.stdout, done.stderr
         return [json.loads(line) for line in done.stdout.splitlines()]
 
     def walk(self, *transitions: str) -> list[bool]:
-        return [one["success"] for one in self.ask(*transitions, command="walk")]
+        return [one["success"] for one in self.ask(*transitions)]
 
     def heard(self, topic: str) -> list[dict[str, Any]]:
         return [one for one in lines_of(self.heard_in) if one["topic"] == topic]
@@ -433,10 +433,9 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     field.played_in.unlink()
     field.play(MAP, path, "--lasers", 1)
     field.until(field.played)
-    code, said = check()
+    code, said = check("--scan", "scan", "--scan", "front", "--sensor", SENSOR)
     assert "ok     map /map: " in said, said
     assert "millimetres" in said, said
-    code, said = check("--scan", "front")
     assert "remap it: -r front:=/scan" in said, said
 
 

@@ -4,7 +4,7 @@
     python -m tools.robot play MAP LOG           # the same of a log with stamps, in its own time
     python -m tools.robot listen                 # prints what comes on /initialpose
     python -m tools.robot ask localize           # calls a service of the node
-    python -m tools.robot walk configure         # a transition of a node with --lifecycle
+    python -m tools.robot ask configure activate # transitions of a node with --lifecycle
     python -m tools.robot restart -n 3000        # a remembered pose, checked by one scan
     python -m tools.robot watch -n 600           # twelve faults of another localizer, and none
     python -m tools.robot soak --hours 24        # drives, people, kidnappings, blindness, restarts
@@ -33,7 +33,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans
 from imgloc.io.maps import bundled_maps
@@ -43,19 +43,18 @@ from tools.robot.listen import Listener
 from tools.robot.play import DISTURBED, FROZEN, WORLD, Player, Playing, to_and_fro, write_to
 from tools.script import at_least_one, ended, parser_of, table_lines
 
-T = TypeVar("T")
 TRANSITIONS = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 """Of lifecycle_msgs/Transition."""
-_TURN = 0.1  # seconds from Ctrl-C to the end at most
+_CHANGE = "imgloc/change_state"
 
 
 def main() -> int:
     """Parse the command line and do what it says."""
     parser = parser_of("tools.robot", __doc__)
     commands = parser.add_subparsers(required=True, dest="command")
-    named = {"play": _play, "listen": _listen, "ask": _ask, "walk": _walk,
+    named = {"play": _play, "listen": _listen, "ask": _ask,
              "restart": _restart, "watch": _watch, "soak": _soak, "kill": _kill}  # fmt: skip
-    play, listen, ask, walk, restart, watch, soaking, kill = map(commands.add_parser, named)
+    play, listen, ask, restart, watch, soaking, kill = map(commands.add_parser, named)
     play.add_argument("map", nargs="?", type=Path)
     play.add_argument("log", nargs="?", type=Path)
     play.add_argument("--free-thresh", type=float, help="of the map")
@@ -65,9 +64,7 @@ def main() -> int:
     play.add_argument("--lasers", type=int, choices=(1, 2), default=1)
     play.add_argument("--cloud", action="store_true", help="points instead of scans")
     play.add_argument("--best-effort", action="store_true")
-    play.add_argument(
-        "--disturb", nargs="+", choices=DISTURBED, default=(), help="every other scan"
-    )
+    play.add_argument("--disturb", nargs="+", choices=DISTURBED, default=("",), help="scans")
     play.add_argument("--freeze", choices=FROZEN, default="", help="of the first scan, repeated")
     play.add_argument("--amcl", type=Path, help="poses of AMCL, wrong once this file exists")
     play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
@@ -78,8 +75,8 @@ def main() -> int:
     play.add_argument("--write", type=Path, help="JSONL: index and stamp of each scan")
     listen.add_argument("--all", action="store_true", help="status, diagnostics, track too")
     listen.add_argument("--write", type=Path, help="JSONL, instead of standard output")
-    ask.add_argument("services", nargs="+", choices=("localize", "reset", REINITIALIZE))
-    walk.add_argument("transitions", nargs="+", choices=TRANSITIONS)
+    some = ("localize", "reset", REINITIALIZE, *TRANSITIONS)
+    ask.add_argument("services", nargs="+", choices=some)
     for one in (restart, watch, soaking):
         one.add_argument("folders", nargs="*", type=Path, help="with map.yaml and scans.npz")
         one.add_argument("--log", nargs=2, action="append", default=[],
@@ -98,8 +95,16 @@ def main() -> int:
     kill.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     _stay_here()
+
+    def work() -> int:
+        if "folders" in given:  # what judges takes a second to import: who plays need not wait
+            from tools.robot.places import recorded
+
+            given.places = recorded(given.folders, given.log)
+        return named[given.command](given)
+
     with contextlib.suppress(KeyboardInterrupt):
-        return ended("tools.robot", lambda: named[given.command](given))
+        return ended("tools.robot", work)
     return 130
 
 
@@ -150,34 +155,27 @@ def _spin(ros: Any, node: Any, done: Callable[[], bool]) -> int:
     executor = ros.executors.SingleThreadedExecutor()
     executor.add_node(node)
     while not done():
-        executor.spin_once(timeout_sec=_TURN)
+        executor.spin_once(timeout_sec=0.1)
     return 0
 
 
 def _ask(given: argparse.Namespace) -> int:
     ros, node = _node("asker")
-    code = 0
-    for service in given.services:
-        empty = service == REINITIALIZE
-        kind = ros.std_srvs.Empty if empty else ros.std_srvs.Trigger
-        name = service if empty else f"imgloc/{service}"
-        answer, seconds = _call(ros, node, kind, name, kind.Request())
-        success, message = (True, "") if empty else (answer.success, answer.message)
+    well = True
+    for what in given.services:
+        kind, name = ros.std_srvs.Trigger, f"imgloc/{what}"
+        if what == REINITIALIZE:
+            kind, name = ros.std_srvs.Empty, what
+        if what in TRANSITIONS:
+            kind, name = importlib.import_module("lifecycle_msgs.srv").ChangeState, _CHANGE
+        request = kind.Request()
+        if what in TRANSITIONS:
+            request.transition.id = TRANSITIONS[what]
+        answer, seconds = _call(ros, node, kind, name, request)
+        success, message = getattr(answer, "success", True), getattr(answer, "message", "")
         print(json.dumps({"success": success, "message": message, "seconds": seconds}))
-        code |= not success
-    return code
-
-
-def _walk(given: argparse.Namespace) -> int:
-    ros, node = _node("manager")
-    kind = importlib.import_module("lifecycle_msgs.srv").ChangeState
-    request, code = kind.Request(), 0
-    for transition in given.transitions:
-        request.transition.id = TRANSITIONS[transition]
-        answer, seconds = _call(ros, node, kind, "imgloc/change_state", request)
-        print(json.dumps({"success": answer.success, "seconds": seconds}))
-        code |= not answer.success
-    return code
+        well &= success
+    return int(not well)
 
 
 def _call(ros: Any, node: Any, kind: Any, name: str, request: Any) -> tuple[Any, float]:
@@ -193,21 +191,16 @@ def _call(ros: Any, node: Any, kind: Any, name: str, request: Any) -> tuple[Any,
     return asked.result(), seconds
 
 
-# What judges takes a second to import, that those who play and ask need not wait.
-
-
 def _restart(given: argparse.Namespace) -> int:
     from tools.robot import restart as restarts
-    from tools.robot.places import recorded
 
     at_least_one(n=given.n)
-    places = recorded(given.folders, given.log)
-    every = list(_until(given, restarts.starts(given.n, given.seed, places)))
+    every = list(_until(given, restarts.starts(given.n, given.seed, given.places)))
     print(*table_lines(restarts.HEAD, restarts.rows_of(every)), sep="\n")
     return int(any(one.wrong for one in every))
 
 
-def _until(given: argparse.Namespace, some: Iterable[T]) -> Iterator[T]:
+def _until(given: argparse.Namespace, some: Iterable[Any]) -> Iterator[Any]:
     """What there is until the time is over."""
     until = time.monotonic() + given.seconds
     for one in some:
@@ -218,9 +211,8 @@ def _until(given: argparse.Namespace, some: Iterable[T]) -> Iterator[T]:
 
 def _watch(given: argparse.Namespace) -> int:
     from tools.robot import watch as watches
-    from tools.robot.places import recorded
 
-    places, hours, said = recorded(given.folders, given.log), 0.0, Counter[str]()
+    places, hours, said = given.places, 0.0, Counter[str]()
     every = list(_until(given, watches.faults(given.n, given.seed, places)))
     print(*table_lines(watches.HEAD, watches.rows_of(every)), sep="\n", flush=True)
     healthy = watches.healthy(100.0, given.seed, places) if given.hours else ()
@@ -235,10 +227,9 @@ def _watch(given: argparse.Namespace) -> int:
 def _soak(given: argparse.Namespace) -> int:
     from tools.load import resident
     from tools.robot import soak as soaks
-    from tools.robot.places import recorded
 
     rows, held = dict[str, soaks.Soaked](), list[float]()
-    for rows in _until(given, soaks.soak(given.seed, recorded(given.folders, given.log))):
+    for rows in _until(given, soaks.soak(given.seed, given.places)):
         held.append(resident(os.getpid()))
         if sum(so.sums["seconds"] for so in rows.values()) >= 3600 * given.hours:
             break

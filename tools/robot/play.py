@@ -18,7 +18,7 @@ from imgloc.model import FloatArray, Pose2D, base_of, compose
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
-DISTURBED = ("nan", "empty", "short", "zero", "unstamped", "ahead")
+DISTURBED = ("nan", "empty", "short", "unstamped", "ahead")
 """What every other scan may be instead of itself."""
 # Seconds that a scan and its odometry may be stamped ahead, and by how many fewer the next one:
 # two in a row are no clock that is ahead, even if the scan between them is lost.
@@ -34,7 +34,7 @@ class Playing:
     lasers: int = 1  #: two: the front half of each scan is a laser, the rear half another one
     cloud: bool = False  #: of points, on /points: walls, and a floor before them
     best_effort: bool = False
-    disturb: Sequence[str] = ()  #: some of `DISTURBED`, in turns
+    disturb: Sequence[str] = ("",)  #: some of `DISTURBED`, in turns
     freeze: str = ""  #: one of `FROZEN`
     clock: bool = False  #: the recorded stamps with a clock, not those of now
     first: int = 0  #: scan to begin with
@@ -144,8 +144,7 @@ class Player:
     def _step(self, k: int, scan: LaserScan, odom: FloatArray | None, stamp: float) -> None:
         whole = math.floor(stamp)
         at = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
-        some = self._how.disturb
-        wrong = some[k // 2 % len(some)] if some and k % 2 else ""
+        wrong = self._how.disturb[k // 2 % len(self._how.disturb)] if k % 2 else ""
         if self._clock is not None:
             publisher, kind = self._clock
             publisher.publish(fill(kind(), {"clock": at}))
@@ -187,8 +186,6 @@ def _message(ros: Any, scan: LaserScan, at: dict[str, int], wrong: str) -> Any:
         at = {"sec": 0, "nanosec": 0}
     elif wrong == "nan":
         ranges[:] = np.nan
-    elif wrong == "zero":
-        ranges[:] = 0.0
     elif wrong in ("empty", "short"):
         ranges = ranges[: 0 if wrong == "empty" else 4]
     fields = {
