@@ -72,7 +72,7 @@ def answered(
 
 
 def log_volume(features: MapFeatures, options: Options) -> float:
-    """Logarithm of the volume of a hypothesis, as a share of that of all poses of the prior.
+    """Logarithm of the volume of a hypothesis, as a share of that of all poses in the prior.
 
     All hypotheses have that of the poses that refinement takes for one. Their covariances are no
     measure of it: a bad fit is a wide one, and would count as many poses that fit.
