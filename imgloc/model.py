@@ -605,7 +605,7 @@ class Evidence(ByContent):
     floor: Floor | None = None  #: left out, because the other readings fit far better without it
     #: divisor of log-likelihoods, and of what they are compared with
     temperature: Temperature = field(default_factory=Temperature)
-    #: logarithm of the volume of a hypothesis, as a share of that of all poses of the prior
+    #: logarithm of the volume of a hypothesis, as a share of that of all poses in the prior
     log_volume: float = 0.0
     #: checks of the verdict in their order, up to the first that does not hold, which decided; if
     #: all hold, the verdict is ``unique``

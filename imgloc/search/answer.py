@@ -72,13 +72,13 @@ def answered(
 
 
 def log_volume(features: MapFeatures, options: Options) -> float:
-    """Logarithm of the volume of a hypothesis, as a share of that of all poses of the prior.
+    """Logarithm of the volume of a hypothesis, as a share of that of all poses in the prior.
 
     All hypotheses have that of the poses that refinement takes for one. Their covariances are no
     measure of it: a bad fit is a wide one, and would count as many poses that fit.
     """
     (metres, radians), prior = options.fused.same, options.prior
-    cells = max(1, int(on_lattice(prior, features.free, features.factor).sum()))
+    cells = int(np.count_nonzero(on_lattice(prior, features.free, features.factor)))
     turn = np.pi if prior.heading is None else float(np.clip(prior.heading[1], radians, np.pi))
-    space = cells * features.lattice.resolution**2 * 2 * turn
+    space = max(1, cells) * features.lattice.resolution**2 * 2 * turn
     return float(np.log(2 * np.pi * metres**2 * radians / space))
