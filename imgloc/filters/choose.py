@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from imgloc.doors import behind
-from imgloc.errors import ConfigError, expect
+from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Filter
 from imgloc.filters.evidence import Places
@@ -36,7 +36,6 @@ def make_filter(
         Replaces the search: a function of a scan that returns its places, from an earlier search
         for example.
     """
-    expect(features, MapFeatures, "features")
     require(Seed, seed, "seed")
     if name == "tracker":
         return Tracker(features, options, find=find)

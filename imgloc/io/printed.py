@@ -18,7 +18,6 @@ _BLOCK = re.compile(
     r"Columns? (\d+)(?: (?:through|to|and) \d+)?:? *$|\[(\d+)\](?=[-+.\seE\dInfaNA]+$)"
     r"|\[,(\d+)\](?: +\[,\d+\])* *$"
 )
-_ROW = re.compile(r"\[\d+,\] +")
 _ARRAY = re.compile(r"(?i)(?:Out *\[\d+\]:|\w+ *=) *(\[|(np\.)?array|tensor|$)")
 _FACTOR = re.compile(r"\d\.0*e[-+]\d+ *\*", re.IGNORECASE)
 _LEFT_OUT = re.compile(r"(?<![^\s,\[|])(\.{2,3}|[…⋮])(?![^\s,\]|])")
@@ -80,7 +79,7 @@ def unprinted(lines: Sequence[Line]) -> list[Line]:
             there = [re.findall(r"[^\s,]+", text) for _, text in rows[k : k + 1]]
             if first > 1 and first - 1 not in map(len, there):
                 raise ScanError(f"{where}: what was printed before it is missing: {_WHOLE}")
-        row = text[found.end() :] if found else _ROW.sub("", text)
+        row = text[found.end() :] if found else re.sub(r"^\[\d+,\] +", "", text)
         if row:
             rows[k : k + 1] = [
                 (rows[k][0], f"{rows[k][1]} {row}") if k < len(rows) else (where, row)

@@ -61,7 +61,6 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
         options = Options(options)
     expect(features, MapFeatures, "features")
     expect(scan, LaserScan, "scan")
-    expect(options, Options, "options")
     method, threads, budget = options.method, options.threads, options.memory_budget
     if method not in METHODS:
         raise ConfigError(f"method must be one of {', '.join(METHODS)}, got {method!r}")

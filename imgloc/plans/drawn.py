@@ -45,6 +45,7 @@ _PILLARS = 2.0  # metres that a filled area may be wide, and still be a wall or 
 _BODY = (0.03, 2.0)
 _SINGLE = 0.25  # of the walls, that are single lines: of real drawings at most 0.19
 _COURT = 0.05  # of the free area, without a door: of real drawings at most 0.01
+_BLOCK = 1.0  # square metres: none of six real drawings, 55 of one with massive piers
 _SHUT = 0.1  # of the doors, that are blocked: of real drawings next to none
 _USUAL = (0.65, 1.1)  # metres that half of all doors are wide
 _AROUND = 2.0  # metres around a floor that are shown
@@ -207,7 +208,7 @@ def drawing_to_maps(
     leaves = _fit(leaves, unit)
     part = _parts_of_doors(drawing.strokes, roles, leaves)
     roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
-    best, box = list[Floor](), np.inf
+    best, plans, box = list[Floor](), list[FloorPlan](), np.inf
     pairs = [(s, role) for s, role in zip(drawing.strokes, roles, strict=True) if not s.dashed]
     for taken in (("wall", "window"), ("wall", "window", "")):
         some = [s for s, role in pairs if role in taken]
@@ -220,15 +221,13 @@ def drawing_to_maps(
         if sum(f.area for f in floors) > _MORE * sum(f.area for f in best):
             best = floors
     if not best:
-        widest = "" if gap is None else f" of {gap:g} m"
         raise MapError(
-            f"its lines enclose no room, not even if openings{widest} in outer walls are closed; "
-            f"its scale is {unit:g} metres a unit, {said}; `walls` names the layers of walls, and "
-            "`resolution` is another scale"
+            "its lines enclose no room, not even with openings in outer walls closed; its scale is "
+            f"{unit:g} metres a unit, {said}; `walls` names the layers of walls, and `resolution` "
+            "is another scale"
         )
     lost = sum(not any(f.has(d) for f in best) for d in leaves)
     usual = np.median([d.width for d in leaves] or [0]) * unit
-    plans = list[FloorPlan]()
     for floor in best:
         plan = _map_of(
             floor, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture
@@ -253,6 +252,8 @@ def drawing_to_maps(
             (drawing.page and not resolution and other > 1,
              f"{other} doors fit another scale that is written on it: a part of it has that one, "
              f"and is not right at {said}; make a map of each part by `resolution`"),
+            (floor.block > _BLOCK,
+             f"{floor.block:.0f} m2 of its walls are thicker than walls: a table among them?"),
             (floor.guessed,
              "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
              "names the layers"),
@@ -318,6 +319,12 @@ class Floor:
     def area(self) -> int:
         """Cells of the building."""
         return int(np.count_nonzero(self.inside))
+
+    @property
+    def block(self) -> float:
+        """Square metres of walls thicker than where two of the thickest walls cross."""
+        cores = masks.opened(self.walls, 2**0.5 * building.THICKEST[-1] / self.sheet.pixel)
+        return float(np.count_nonzero(cores)) * self.sheet.pixel**2
 
     def has(self, door: Door) -> bool:
         """Return whether a door is in the building, or in a wall of it."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.errors import ConfigError, expect
+from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.files import PathLike
 from imgloc.model import BoolArray, FloatArray, OccupancyGrid
@@ -99,6 +99,4 @@ def region(
 
 
 def _grid(place: OccupancyGrid | MapFeatures) -> OccupancyGrid:
-    grid = place.grid if isinstance(place, MapFeatures) else place
-    expect(grid, OccupancyGrid, "place")
-    return grid
+    return place.grid if isinstance(place, MapFeatures) else place
