@@ -57,7 +57,7 @@ StepOf = Annotated[
 ]
 View = Annotated[float, Within(math.radians(0.01), math.tau, "radians")]
 Clearance = Annotated[float, Within(0, 1000, "metres")]
-Millimetres = Annotated[float, Within(0.001, 10, "metres")]  #: a cell of a map, or of poses
+CellSide = Annotated[float, Within(0.001, 10, "metres")]  #: a cell of a map, or of poses
 
 RADIUS, TOLERANCE = number("options.near")
 """How far from a pose that is roughly known a robot may be, unless stated: metres, radians."""
@@ -574,7 +574,7 @@ Seed = Annotated[
     Option("Seed of the random numbers: the same seed gives the same output."),
 ]
 Cell = Annotated[
-    Millimetres, Option("Side of a cell of the poses that the paper's algorithms score, metres.")
+    CellSide, Option("Side of a cell of the poses that the paper's algorithms score, metres.")
 ]
 RangeMax = Annotated[
     float,
@@ -602,7 +602,7 @@ class Reading(TypedDict, total=False):
     """The way in which a map is read: parameters that :func:`imgloc.load_map` documents."""
 
     resolution: Annotated[
-        Millimetres | None,
+        CellSide | None,
         Option("Side of a pixel of the map image, metres. [default: the map's YAML]"),
     ]
     origin: Annotated[

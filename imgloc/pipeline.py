@@ -176,7 +176,7 @@ def _located(
 
 def find_modes(
     features: MapFeatures, scan: LaserScan, options: Options, *,
-    more: FloatArray | None = None, alone: bool = False,
+    starts: FloatArray | None = None, parts: bool = True,
 ) -> Modes:  # fmt: skip
     """Search a map for all poses that fit a scan, by the default method.
 
@@ -193,17 +193,17 @@ def find_modes(
         The scan, with at least one valid reading.
     options : Options
         Prior, limits and time budget of the search.
-    more : (M, 3) float array, optional
-        Proposals in place of those of parts, grid frame: metres, metres, radians.
-    alone : bool
-        These propose alone, without the whole scan.
+    starts : (M, 3) float array, optional
+        Proposals in place of those of the scan, grid frame: metres, metres, radians.
+    parts : bool
+        If no pose fits that the whole scan proposes, parts of it propose others.
 
     Returns
     -------
     Modes
         Separated modes in the grid frame, best first; perhaps none.
     """
-    steps = find_modes_by_steps(features, scan, options, more=more, alone=alone)
+    steps = find_modes_by_steps(features, scan, options, starts=starts, parts=parts)
     while True:
         try:
             next(steps)
@@ -213,7 +213,7 @@ def find_modes(
 
 def find_modes_by_steps(
     features: MapFeatures, scan: LaserScan, options: Options, *,
-    more: FloatArray | None = None, alone: bool = False,
+    starts: FloatArray | None = None, parts: bool = True,
 ) -> Generator[None, None, Modes]:  # fmt: skip
     """Search as :func:`find_modes` does, and pause after each step; return the modes."""
     fused = options.fused
@@ -224,8 +224,7 @@ def find_modes_by_steps(
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
 
     # Propose poses whose endpoints fall on walls, and pick those that are worth more readings.
-    proposals = np.empty((0, 3)) if alone else propose(features, few, options, end)
-    proposals = proposals if more is None else np.concatenate((proposals, more))
+    proposals = propose(features, few, options, end) if starts is None else starts
     yield
     looked, score = look(features, proposals, few, options)
     yield
@@ -235,7 +234,7 @@ def find_modes_by_steps(
     lacks = options.model.best * len(few) - float(score.max(initial=-np.inf))
     by = lead(looked, score, options)
     unfit = lacks > fused.unfit * len(few) and by < fused.led * lacks
-    if (unfit or features.furnished is not None) and more is None:
+    if (unfit or features.furnished is not None) and parts and starts is None:
         others = [np.empty((0, 3))]
         for part in seen.parts():
             if time.monotonic() < end:
@@ -316,7 +315,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     adapts = features.furnished is None and fused.strained < np.inf
     # Where walls may be bent, parts of the scan propose once it is known whether they are.
     drawn = adapts and drawn_walls(features, np.inf, options.shared) != options.shared
-    found = find(options.shared, more=np.empty((0, 3)) if drawn else None)
+    found = find(options.shared, parts=not drawn)
     if not (adapts and found.complete and len(found.poses)):
         return found
     try:
@@ -327,7 +326,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         whole = found
         for floor in floors(scan) if lacks(found) > fused.strained else ():
             if left_out(scan, floor).directions >= options.trust.readings:
-                without = again(options.shared, floor, more=np.empty((0, 3)))
+                without = again(options.shared, floor, parts=False)
                 if lacks(without) <= min(fused.strained, lacks(found)) and rivals(
                     without, whole, features, options
                 ):
@@ -339,7 +338,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
             shared = adapt(features, found.readings, places, found.shared, options)
             if shared == found.shared:
                 break
-            adapted = again(shared, found.floor, more=found.places, alone=True)
+            adapted = again(shared, found.floor, starts=found.places)
             if adapted.mean_score <= found.mean_score:
                 break
             found = adapted

@@ -19,7 +19,7 @@ from imgloc.choice.mosaic import best_fits, mosaics
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
-from imgloc.io.calibration import calibration_path, save_calibrations
+from imgloc.io.calibration import calibration_path, said_scale, save_calibrations
 from imgloc.io.folders import files_in, find_maps
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import save_scans
@@ -432,14 +432,18 @@ def test_a_bound_is_that_of_the_scale_that_is_known(tmp_path: Path) -> None:
     save_map(tmp_path / "post.yaml", grid := room_with_a_post())
     scan = simulate(grid, 1, 3, Sensor(rays=90, fov=6.2))[0].scaled(0.7)
     index = index_of({"post": prepare(grid)})
-    files = {"post": tmp_path / "post.yaml"}
-    unknown = bounds_of(index, files, scan, choosing.OPTIONS)["post"]
-    said = calibration_path(files["post"])
+
+    def bound() -> float:
+        return bounds_of(index, [said_scale(tmp_path / "post.yaml")], scan, choosing.OPTIONS)[
+            "post"
+        ]
+
+    unknown, said = bound(), calibration_path(tmp_path / "post.yaml")
     save_calibrations(said, grid, {}, {}, shared=Shared(1 / 0.7))
-    assert bounds_of(index, files, scan, choosing.OPTIONS)["post"] > unknown + 0.02
+    assert bound() > unknown + 0.02
     for damaged in ("[]", "{}", '{"shared": {"scale": "wide"}}', '{"shared": 5}', "[" * 9999):
         said.write_text(damaged)
-        assert bounds_of(index, files, scan, choosing.OPTIONS)["post"] == unknown
+        assert bound() == unknown
 
 
 def test_what_is_no_folder_of_maps_says_why(site: Path, tmp_path: Path) -> None:

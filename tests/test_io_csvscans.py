@@ -163,10 +163,10 @@ KINDS = [
 ]  # fmt: skip
 
 
-def loaded(folder: Path, text: str) -> ScanSet:
+def loaded(folder: Path, text: str, topic: str | None = None) -> ScanSet:
     path = folder / "a.csv"
     path.write_text(text)
-    return load_scans(path)
+    return load_scans(path, topic=topic)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -414,12 +414,25 @@ def test_what_people_write_for_nothing(tmp_path: Path) -> None:
         loaded(tmp_path, "ranges =\n\n  1.0e+03 *\n\n" + table([], RANGES.tolist(), "  "))
 
 
-def test_columns_beside_an_angle_are_alike(tmp_path: Path) -> None:
-    text = table(
-        ["angle", "weite", "guete"], [[a, r, 4] for a, r in zip(ANGLES, RANGES[0], strict=True)]
-    )
-    with pytest.raises(ScanError, match="columns weite, guete beside angles, expected one that is"):
-        loaded(tmp_path, text)
+def test_lasers_of_one_table_are_told_apart(tmp_path: Path) -> None:
+    two = {"front": RANGES[0], "rear": RANGES[1]}
+    wide = table(["frame_id", *(f"r{k}" for k in range(RAYS))], [[n, *r] for n, r in two.items()])
+    rows = [[n, *row] for n, r in two.items() for row in zip(ANGLES, r, strict=True)]
+    for text in (VIEW + wide, table(["laser", "angle", "range"], rows)):
+        with pytest.raises(ScanError, match=r"one of front \(1\), rear \(1\)"):
+            loaded(tmp_path, text)
+        np.testing.assert_allclose(loaded(tmp_path, text, topic="rear")[0].ranges, RANGES[1])
+    beside = np.column_stack((ANGLES, RANGES[0], RANGES[1])).tolist()
+    for names in (["laser1", "laser2"], ["weite", "guete"]):
+        with pytest.raises(ScanError, match=f"columns {', '.join(names)} beside angles, expected"):
+            loaded(tmp_path, table(["angle", *names], beside))
+
+
+def test_a_print_that_lacks_a_part_is_refused(tmp_path: Path) -> None:
+    parts = {at: f"  Columns {at} through {at + 3}\n\n  1.0 2.0 3.0 4.0\n\n" for at in (1, 5, 9)}
+    assert len(loaded(tmp_path, VIEW + "".join(parts.values()))[0].ranges) == 12
+    with pytest.raises(ScanError, match="what was printed before it is missing"):
+        loaded(tmp_path, VIEW + parts[1] + parts[9])
 
 
 def test_a_comma_at_the_end_of_each_line_is_no_ray(tmp_path: Path) -> None:

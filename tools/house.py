@@ -35,7 +35,7 @@ _PLAIN = (0, 1, 2)  # numbers that need no name: an empty sum, a step, a half
 LONG = 60  # lines of code of a function, without what its signature declares
 LIMITS: Mapping[str, tuple[int, int]] = {
     "code of imgloc": (30_596, 20_000),
-    "code of lab and plans": (4_700, 3_700),
+    "code of lab and plans": (4_785, 3_700),
     "code of tools": (8_987, 8_000),
     "code of tests": (28_206, 26_000),
     f"functions of more than {LONG} lines": (0, 0),

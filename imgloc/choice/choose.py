@@ -28,7 +28,6 @@ import numpy as np
 from imgloc.choice.folder_index import MapIndex, index_of
 from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.io.calibration import said_scale
 from imgloc.model import LaserScan, Localization, plain
 from imgloc.numbers import number
 from imgloc.options import FUSED, NAMED, FusedOptions, Options, Trust
@@ -132,25 +131,18 @@ def which(
     """
     expect(maps, Mapping, "maps")
     options = options or OPTIONS
-    bounds = partial(bounds_at, index_of(maps), [1.0] * len(maps), options=options)
+    bounds = partial(bounds_of, index_of(maps), [1.0] * len(maps), options=options)
     (fits,) = search([scan], maps, bounds, lambda name: nullcontext((maps[name], options)))
     return choose(fits, ruled_out=len(maps) - len(fits))
 
 
 def bounds_of(
-    index: MapIndex, files: Mapping[str, Path], scan: LaserScan, options: Options
+    index: MapIndex, said: Sequence[float], scan: LaserScan, options: Options
 ) -> dict[str, float]:
     """Bound, for each map by its name, on the share of a scan that can fall on walls, 0..1.
 
-    A map with a calibrated scale is tried with that scale, too.
+    A map whose calibrated scale `said` has, a factor, is tried with that scale, too.
     """
-    return bounds_at(index, [said_scale(files[name]) for name in index.names], scan, options)
-
-
-def bounds_at(
-    index: MapIndex, said: Sequence[float], scan: LaserScan, options: Options
-) -> dict[str, float]:
-    """Bounds, as :func:`bounds_of`, for prepared maps; `said` has the scale of each, a factor."""
     bounds, scales = index.bounds(scan, options), np.array(said)
     for scale in np.unique(scales[scales != 1]):
         scaled = index.bounds(scan.scaled(float(scale)), options)
@@ -210,12 +202,12 @@ def search(
                     if opened is None:
                         del usable[k][name]
                         continue
-                    options = opened[1]
+                    features, options = opened
                     if name in found[k] or len(usable[k]) <= 3:
                         ended[k].add(name)
                     else:
                         options = replace(options, fused=replace(options.fused, unfit=np.inf))
-                    found[k][name] = fit(opened[0], scans[k], options)
+                    found[k][name] = fit(features, scans[k], options)
                     advance()
 
 
@@ -230,16 +222,15 @@ def next_maps(bounds: Mapping[str, float], fits: Mapping[str, Localization]) -> 
     rest = [name for name in order if name not in fits]
     if at_first(len(order)) == len(order):
         return rest
-    return rest[: _more([fits[name] for name in order if name in fits])]
+    return rest[: _more({name: fits[name] for name in order if name in fits})]
 
 
 def leading(fits: Mapping[str, Localization]) -> set[str]:
     """Names of the three maps whose evidence is best: two of the building, and one by chance."""
     if not any(f.hypotheses for f in fits.values()):
         return set()
-    temperature = _best(fits.values()).evidence.temperature.value
-    order = sorted(fits, key=lambda name: -log_evidence(fits[name], temperature))
-    return set(order[:3])
+    evidence = _evidence(fits)
+    return set(sorted(evidence, key=lambda name: -evidence[name])[:3])
 
 
 def at_first(count: int) -> int:
@@ -250,14 +241,13 @@ def at_first(count: int) -> int:
     return count if count <= MOST + 1 else FIRST
 
 
-def _more(fits: Sequence[Localization]) -> int:
-    """Number of maps to search after these, which have the best bounds."""
+def _more(fits: Mapping[str, Localization]) -> int:
+    """Number of maps to search after these, which have the best bounds, in their order."""
     if len(fits) < FIRST:
         return FIRST - len(fits)
-    if len(fits) >= MOST or not any(f.hypotheses for f in fits):
+    if len(fits) >= MOST or not any(f.hypotheses for f in fits.values()):
         return 0
-    temperature = _best(fits).evidence.temperature.value
-    evidence = [log_evidence(f, temperature) for f in fits]
+    evidence = [*_evidence(fits).values()]
     return NEXT if max(evidence[-NEXT:]) >= sorted(evidence)[-3] else 0
 
 
@@ -296,7 +286,7 @@ def choose(
         return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature, ruled_out)
     best = _best(fits.values())
     said, temperature = best.evidence, best.evidence.temperature.value
-    evidence = {name: log_evidence(f, temperature) for name, f in fits.items()}
+    evidence = _evidence(fits)
     top = max(evidence.values())
     order = sorted(evidence, key=lambda name: (-evidence[name], name))
     weights = np.exp([evidence[name] - top for name in order])
@@ -317,6 +307,12 @@ def choose(
 def _best(fits: Iterable[Localization]) -> Localization:
     """The answer that fits best among those with a pose."""
     return min((f for f in fits if f.hypotheses), key=lambda f: f.evidence.misfit)
+
+
+def _evidence(fits: Mapping[str, Localization]) -> dict[str, float]:
+    """Log-evidence of each map at the temperature of the best one, nats; some map has a pose."""
+    temperature = _best(fits.values()).evidence.temperature.value
+    return {name: log_evidence(f, temperature) for name, f in fits.items()}
 
 
 def log_evidence(answer: Localization, temperature: float) -> float:

@@ -34,7 +34,7 @@ from imgloc.features.raydistance import LONGEST, ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
-from imgloc.options import Length, Millimetres
+from imgloc.options import CellSide, Length
 from imgloc.ranges import Checked, Count, OneOf, Within
 
 #: A map with more cells keeps its walls as they are: each thinner copy has features of its own.
@@ -91,7 +91,7 @@ class MapFeatures(Checked):
     """
 
     grid: OccupancyGrid
-    cell: Millimetres = 0.1
+    cell: CellSide = 0.1
     sigma: Length = 0.1
     sigma_endpoint: Length = 0.15
     vmap_from: Annotated[str, OneOf(*SOURCES)] = "image"

@@ -118,7 +118,8 @@ def _replace() -> None:
     sqlite.apsw.connection_hooks.append(_limit)
     for parser in ("get_types_from_msg", "get_types_from_idl"):
         parse = getattr(anyreader, parser)
-        setattr(anyreader, parser, _inside(functools.partial(_types, parse), parse))
+        types = functools.partial(lambda parse, *text: _bag().types_of(parse, *text), parse)
+        setattr(anyreader, parser, _inside(types, parse))
     reader.zstd = SimpleNamespace(**vars(zstd))
     reader.zstd.decompress = _inside(
         functools.partial(_unpack, zstd.ZstdDecompressor), zstd.decompress
@@ -145,10 +146,6 @@ def _as_it_is(data: bytes) -> bytes:
     """A chunk that is not packed: an index may lead back and forth between two of them."""
     _bag().take(len(data))
     return data
-
-
-def _types(parse: Callable[..., Any], *definition: str) -> Any:
-    return _bag().types_of(parse, *definition)
 
 
 def _limit(connection: Any) -> None:

@@ -461,8 +461,8 @@ class _Table:
         if len(even) > 2 and 2 * max(even[1:]) > 1 and (np.diff(table[:, 0]) == 1).all():
             even[0] = values[0] = 0  # it counts the readings
         few = len(table) <= _EVEN
-        if few and (len(table) < 3 or even[0] < 1):
-            found = f"{len(table)} lines of {table.shape[1]} numbers"
+        if few and table.shape[1] == 2 and (len(table) < 3 or even[0] < 1):
+            found = f"{len(table)} lines of two numbers"
             raise ScanError(f"{self.name}: {found}, expected a first line of names: angle,range")
         at = 0 if few else int(np.argmax(even))
         rest = sorted(set(range(table.shape[1])) - {at}, key=lambda i: -values[i])

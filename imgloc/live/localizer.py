@@ -24,7 +24,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
-from imgloc.choice.choose import OPTIONS, Choice, Opened, bounds_at, choose, search
+from imgloc.choice.choose import OPTIONS, Choice, Opened, bounds_of, choose, search
 from imgloc.choice.folder_index import MapIndex, index_of
 from imgloc.errors import ConfigError, expect
 from imgloc.filters.evidence import DEVIATION
@@ -536,7 +536,7 @@ class Localizer:
         )
         scales = [_site(entries[name]).shared.scale for name in index.names]
         coarse = replace(base, prior=Prior(None, known.heading))
-        bounds = partial(bounds_at, index, scales, options=coarse)
+        bounds = partial(bounds_of, index, scales, options=coarse)
 
         @contextmanager
         def open_map(name: str) -> Iterator[Opened | None]:

@@ -183,9 +183,8 @@ class Sheet:
         spots = self.fixed(line[0] + ways * (line[1] - line[0])) >> _BITS
         on = walls[tuple(spots.clip(0, np.array(self.shape[::-1]) - 1).T[::-1])]
         free = np.split(~on, np.flatnonzero(np.diff(on)) + 1)
-        return [bool(run[0]) and len(run) * self.pixel > building.PIECE for run in free].count(
-            True
-        ) > 1
+        rooms = [run for run in free if run[0] and len(run) * self.pixel > building.PIECE]
+        return len(rooms) > 1
 
     def at(self, point: FloatArray, cells: npt.NDArray[Any], cell: float) -> int:
         """The value of the cell that a point of the drawing is in; 0 if it is in none."""

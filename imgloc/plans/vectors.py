@@ -334,11 +334,8 @@ def _page(raw: Any, page: Any, low: float) -> Iterator[Stroke]:
         obj, outer, deep, box = waiting.pop()
         count += 1
         bounded(count)
-        m, kind, clip = (
-            raw.FS_MATRIX(),
-            raw.FPDFPageObj_GetType(obj),
-            raw.FPDFPageObj_GetClipPath(obj),
-        )
+        m, kind = raw.FS_MATRIX(), raw.FPDFPageObj_GetType(obj)
+        clip = raw.FPDFPageObj_GetClipPath(obj)
         for k in range(raw.FPDFClipPath_CountPaths(clip)):
             n = min(raw.FPDFClipPath_CountPathSegments(clip, k), MOST)
             parts = (raw.FPDFClipPath_GetPathSegment(clip, k, at) for at in range(n))

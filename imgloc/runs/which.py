@@ -15,7 +15,7 @@ from imgloc.choice.folder_index import MapIndex, open_index
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
-from imgloc.io.calibration import calibrated
+from imgloc.io.calibration import calibrated, said_scale
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
@@ -144,7 +144,8 @@ class Choosing:
             return
         scans = self.taken.scans.scans
         coarse = replace(self.options, prior=Prior(None, self.job.known.heading))
-        bounds = partial(bounds_of, self.index, self.files, options=coarse)
+        said = [said_scale(self.files[name]) for name in self.index.names]
+        bounds = partial(bounds_of, self.index, said, options=coarse)
         steps = len(scans) * at_first(len(self.index.names))
         with self.desk.progress("which", steps, lines=False) as advance:
             fits = search(scans, self.index.names, bounds, self._opened, advance)
