@@ -604,12 +604,9 @@ def test_no_wall_lies_under_a_button_until_the_map_is_moved(page: Any, log: Path
 def test_far_poses_are_written_whole(browser: Any, service: str, log: Path, width: int) -> None:
     with opened(browser, service, viewport={"width": width, "height": 900}) as page:
         drop(page, ("far.png", (MAPS / "visibility.png").read_bytes()))
-        for field, value in (
-            ("resolution", "0.1"),
-            ("origin-x", "-1234.5"),
-            ("origin-y", "-2345.6"),
-        ):
-            page.locator(f"#{field}").fill(value)
+        where = {"resolution": 0.1, "origin-x": -1234.5, "origin-y": -2345.6}
+        for field, value in where.items():
+            page.locator(f"#{field}").fill(str(value))
         page.get_by_role("button", name="Use it").click()
         sync.expect(page.locator("#map option:checked")).to_have_text("far")
         drop(page, (log.name, log.read_bytes()))

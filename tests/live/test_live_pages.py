@@ -8,6 +8,8 @@ from command import call
 from test_cli_explain import CURVED, scans  # noqa: F401  (a fixture)
 from test_output_report import folder  # noqa: F401  (a fixture)
 
+sync = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_the_report_of_a_batch(folder: Path, browser: Any, width: int) -> None:  # noqa: F811
@@ -24,9 +26,10 @@ def test_the_report_of_a_batch(folder: Path, browser: Any, width: int) -> None: 
     page.emulate_media(color_scheme="dark")
     assert page.evaluate(ground) == "rgb(22, 27, 34)"
     answers, maps = (page.locator(f"[data-table={name}]") for name in ("answers", "maps"))
+    count = sync.expect(answers.locator("output"))
     assert maps.locator("tbody tr").count() == 3
     assert answers.locator("tbody tr").count() == 100
-    assert answers.locator("output").inner_text() == "248 rows"
+    count.to_have_text("248 rows")
 
     # It sorts: the worst first, then the best.
     head = answers.get_by_role("button", name="error / m")
@@ -41,21 +44,15 @@ def test_the_report_of_a_batch(folder: Path, browser: Any, width: int) -> None: 
 
     # It filters, by words and by verdict.
     answers.locator("input").fill("cellar run-0004")
-    page.wait_for_function(
-        "document.querySelector('[data-table=answers] output').textContent == '1 of 248 rows'"
-    )
+    count.to_have_text("1 of 248 rows")
     answers.locator("input").fill("")
     answers.locator("select").select_option(label="wrong")
-    page.wait_for_function(
-        "document.querySelectorAll('[data-table=answers] tbody tr').length == 36"
-    )
+    sync.expect(answers.locator("tbody tr")).to_have_count(36)
     answers.locator("select").select_option(label="all")
 
     # It opens an item, by the keyboard, with its pictures; and the next one.
     answers.locator("input").fill("run-0004")
-    page.wait_for_function(
-        "document.querySelector('[data-table=answers] output').textContent == '1 of 248 rows'"
-    )
+    count.to_have_text("1 of 248 rows")
     answers.locator("tbody button").first.focus()
     page.keyboard.press("Enter")
     dialog = page.locator("dialog")
@@ -67,9 +64,7 @@ def test_the_report_of_a_batch(folder: Path, browser: Any, width: int) -> None: 
     page.keyboard.press("Escape")
     assert not dialog.is_visible()
     answers.locator("input").fill("")
-    page.wait_for_function(
-        "document.querySelector('[data-table=answers] output').textContent == '248 rows'"
-    )
+    count.to_have_text("248 rows")
     answers.get_by_role("button", name="Next page").click()
     answers.locator("tbody button").first.click()
     title = dialog.locator("h2").inner_text()
