@@ -33,7 +33,7 @@ def figures() -> Mapping[str, str]:
 
     Examples
     --------
-    >>> "20 were wrongly called `unique`" in figures()["wrong"].replace("\n", " ")
+    >>> "16 were wrongly called `unique`" in figures()["wrong"].replace("\n", " ")
     True
     """
     found = rows(TRUST, "condition")
