@@ -362,8 +362,8 @@ class Trust(Checked):
     fine: Length = number("Trust.fine")
     #: log-odds that the true pose is none of the hypotheses: a constant, a weight per nat by which
     #: the best pose fits better than a building that is not on the map, less the nats against the
-    #: pose, and a weight per logarithm of the number of possible poses where these are few, as of a
-    #: place that is known: hardly any fits by chance. See ``python -m tools.trust fit``
+    #: pose, and more of it per logarithm of the number of possible poses where these are few, as of
+    #: a place that is known: hardly any fits by chance. See ``python -m tools.trust fit``
     elsewhere: tuple[LogOdds, LogOdds, LogOdds] = number("Trust.elsewhere")
     #: greatest evidence, nats, that counts in the log-odds
     most: Nats = number("Trust.most")
@@ -403,7 +403,8 @@ class Trust(Checked):
         """
         constant, per_nat, per_log = self.elsewhere
         said = min(max(evidence, -self.most), self.most)
-        odds = constant + per_nat * said + per_log * min(0.0, LOG_VOLUME - log_volume)
+        few = min(0.0, LOG_VOLUME - log_volume)
+        odds = constant + per_nat * said + per_log * few * max(0.0, said)
         return 1 / (1 + math.exp(min(-odds, 700.0)))
 
 

@@ -176,7 +176,7 @@ def _located(
 
 def find_modes(
     features: MapFeatures, scan: LaserScan, options: Options, *,
-    starts: FloatArray | None = None, parts: bool = True,
+    more: FloatArray | None = None, alone: bool = False,
 ) -> Modes:  # fmt: skip
     """Search a map for all poses that fit a scan, by the default method.
 
@@ -193,17 +193,17 @@ def find_modes(
         The scan, with at least one valid reading.
     options : Options
         Prior, limits and time budget of the search.
-    starts : (M, 3) float array, optional
-        Proposals in place of those of the scan, grid frame: metres, metres, radians.
-    parts : bool
-        If no pose fits that the whole scan proposes, parts of it propose others.
+    more : (M, 3) float array, optional
+        Proposals in place of those of parts, grid frame: metres, metres, radians.
+    alone : bool
+        These propose alone, without the whole scan.
 
     Returns
     -------
     Modes
         Separated modes in the grid frame, best first; perhaps none.
     """
-    steps = find_modes_by_steps(features, scan, options, starts=starts, parts=parts)
+    steps = find_modes_by_steps(features, scan, options, more=more, alone=alone)
     while True:
         try:
             next(steps)
@@ -213,7 +213,7 @@ def find_modes(
 
 def find_modes_by_steps(
     features: MapFeatures, scan: LaserScan, options: Options, *,
-    starts: FloatArray | None = None, parts: bool = True,
+    more: FloatArray | None = None, alone: bool = False,
 ) -> Generator[None, None, Modes]:  # fmt: skip
     """Search as :func:`find_modes` does, and pause after each step; return the modes."""
     fused = options.fused
@@ -224,7 +224,8 @@ def find_modes_by_steps(
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
 
     # Propose poses whose endpoints fall on walls, and pick those that are worth more readings.
-    proposals = propose(features, few, options, end) if starts is None else starts
+    proposals = np.empty((0, 3)) if alone else propose(features, few, options, end)
+    proposals = proposals if more is None else np.concatenate((proposals, more))
     yield
     looked, score = look(features, proposals, few, options)
     yield
@@ -234,7 +235,7 @@ def find_modes_by_steps(
     lacks = options.model.best * len(few) - float(score.max(initial=-np.inf))
     by = lead(looked, score, options)
     unfit = lacks > fused.unfit * len(few) and by < fused.led * lacks
-    if (unfit or features.furnished is not None) and parts and starts is None:
+    if (unfit or features.furnished is not None) and more is None:
         others = [np.empty((0, 3))]
         for part in seen.parts():
             if time.monotonic() < end:
@@ -290,8 +291,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     """Search for all poses that fit a scan, and allow for errors that many readings share.
 
     If nothing fits well on a map that others drew, walls are taken for bent. Else it is tried
-    without readings that may end on the floor, and with another scale or thinner walls, from the
-    places that are known by then.
+    without readings that may end on the floor, and with another scale or thinner walls.
 
     Arguments and result are those of :func:`find_modes`, with what was found; `features` are of the
     uncorrected map. The time budget covers all searches together.
@@ -315,7 +315,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     adapts = features.furnished is None and fused.strained < np.inf
     # Where walls may be bent, parts of the scan propose once it is known whether they are.
     drawn = adapts and drawn_walls(features, np.inf, options.shared) != options.shared
-    found = find(options.shared, parts=not drawn)
+    found = find(options.shared, more=np.empty((0, 3)) if drawn else None)
     if not (adapts and found.complete and len(found.poses)):
         return found
     try:
@@ -326,7 +326,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         whole = found
         for floor in floors(scan) if lacks(found) > fused.strained else ():
             if left_out(scan, floor).directions >= options.trust.readings:
-                without = again(options.shared, floor, parts=False)
+                without = again(options.shared, floor, more=np.empty((0, 3)))
                 if lacks(without) <= min(fused.strained, lacks(found)) and rivals(
                     without, whole, features, options
                 ):
@@ -338,7 +338,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
             shared = adapt(features, found.readings, places, found.shared, options)
             if shared == found.shared:
                 break
-            adapted = again(shared, found.floor, starts=found.places)
+            adapted = again(shared, found.floor, more=found.places, alone=found.leads)
             if adapted.mean_score <= found.mean_score:
                 break
             found = adapted

@@ -296,9 +296,9 @@ def test_parts_are_asked_once_it_is_known_whether_walls_are_bent_and_not_again(m
     scan, asked = world()[1].scans[0], []
     found = pipeline.find_modes
 
-    def listened(there, scan, options, *, starts=None, parts=True):
-        asked.append((there.grid.occupied.sum(), parts and starts is None))
-        return found(there, scan, options, starts=starts, parts=parts)
+    def listened(there, scan, options, *, more=None, alone=False):
+        asked.append((there.grid.occupied.sum(), more is None))
+        return found(there, scan, options, more=more, alone=alone)
 
     monkeypatch.setattr(pipeline, "find_modes", listened)
     answer = localize(thick_features(), scan)

@@ -52,7 +52,8 @@ def test_a_worse_fit_never_sharpens_an_answer(trust, a, b):
 
 @given(gains, volumes)
 def test_the_chance_of_being_elsewhere_is_a_logistic_regression(gained, volume):
-    odds = -4.0 - 0.5 * max(-12, min(gained, 12)) + 0.25 * min(0, -13.4 - volume)
+    nats = max(-12, min(gained, 12))
+    odds = -4.0 - 0.5 * nats + 0.25 * min(0, -13.4 - volume) * max(0, nats)
     expected = math.exp(odds) / (1 + math.exp(odds))
     assert TRUST.mass_elsewhere(gained, volume) == pytest.approx(expected)
 

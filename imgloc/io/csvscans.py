@@ -55,6 +55,7 @@ _SAID = re.compile(
 _TIMES = {"gradians": 10 / 9, "tenths of a degree": 10, "hundredths of a degree": 100,
           "milliradians": 1000 * _DEGREE}  # fmt: skip
 _TURN, _VIEW, _OFF = 360, 30, 2  # degrees
+_SEVERAL = 8  # lasers of a robot, at most
 _TURNS = math.tau, _TURN, _TURN * _TIMES["gradians"]
 _ENDS = re.compile(r"\b(start|end)_angle$")
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
@@ -320,6 +321,8 @@ class _Table:
         self._refuse_lasers([names[i][: names[i].rindex("range")] for i in ranges])
         if "range" in by and "angle" not in by and "theta" in by and "x" not in by:
             by["angle"] = by.pop("theta")
+        if "laser" in by and not self._are_lasers(names[by["laser"]], by["laser"]):
+            roles[by.pop("laser")] = "aside", 0, 1.0
         if "laser" in by and "angle" in by and "range" not in by:
             by["range"] = by.pop("laser")
         if not ranges and {"angle", "range"} <= by.keys():
@@ -374,6 +377,14 @@ class _Table:
             said |= {"ranges": values, "stamp": stamp, "laser": laser, **more}
             entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
+
+    def _are_lasers(self, name: str, at: int) -> bool:
+        """Return whether a column names lasers: not its scans by number, nor files one by one."""
+        cells = [cells[at] for _, cells in self.body if at < len(cells)]
+        again = sum(a != b for a, b in itertools.pairwise(cells)) >= len({*cells})
+        counts = all(re.fullmatch(r"[-+.\d]+", cell.strip()) for cell in cells)
+        sure = not counts or re.match("laser|lidar|sensor|scanner", name)
+        return len({*cells}) <= _SEVERAL and bool(sure) and (again or "source" not in name)
 
     def _refuse_lasers(self, names: Sequence[str]) -> None:
         """ScanError for ranges of several lasers, by what stands before the name of each."""

@@ -338,7 +338,7 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = None if stamp is None else scalar(stamp, f"{where}: stamp")
     named = {**entry, **header}
-    names = (named[key] for key in ("frame_id", *LASERS) if isinstance(named.get(key), str | int))
+    names = (named[key] for key in ("frame_id", *LASERS) if isinstance(named.get(key), str))
     plain["laser"] = entry.get("laser", next((str(name) for name in names), ""))
     for key in _POSES:
         if isinstance(entry.get(key), dict):

@@ -75,7 +75,7 @@ def exhaustive(
     wider = replace(options, second_look=SECOND_LOOK)
     return joined(
         find_modes(features, scan, Options(fused=options, threads=threads)),
-        find_modes(features, scan, Options(fused=wider, threads=threads), starts=poses),
+        find_modes(features, scan, Options(fused=wider, threads=threads), more=poses),
         options,
     )
 

@@ -232,7 +232,8 @@ def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
     rows = []
     for c in cases:
         T = _temperature(c, scale * (1, MARGIN))
-        rows.append((1.0, np.clip(c.net(T), -most, most), min(0.0, LOG_VOLUME - c.log_volume)))
+        net, few = np.clip(c.net(T), -most, most), min(0.0, LOG_VOLUME - c.log_volume)
+        rows.append((1.0, net, few * max(0.0, net)))
     return np.array(rows)
 
 
