@@ -422,6 +422,9 @@ def test_lasers_of_one_table_are_told_apart(tmp_path: Path) -> None:
         with pytest.raises(ScanError, match=r"one of front \(1\), rear \(1\)"):
             loaded(tmp_path, text)
         np.testing.assert_allclose(loaded(tmp_path, text, topic="rear")[0].ranges, RANGES[1])
+    for name in ("frame", "source"):  # a number of the scan, and its file, are no lasers
+        said = [[k if name == "frame" else f"{k}.txt", *row] for k, (_, *row) in enumerate(rows)]
+        assert len(loaded(tmp_path, table([name, "angle", "range"], said))) == 2
     beside = np.column_stack((ANGLES, RANGES[0], RANGES[1])).tolist()
     for names in (["laser1", "laser2"], ["weite", "guete"]):
         with pytest.raises(ScanError, match=f"columns {', '.join(names)} beside angles, expected"):

@@ -315,14 +315,12 @@ class _Table:
 
     def read(self, names: list[str], fov: float | None) -> ScanSet:
         """The scans, of columns that are called so, if they are."""
-        roles = [role_of(name) for name in names]
+        roles = [self._role(i, name) for i, name in enumerate(names)]
         by = {role: i for i, (role, _, _) in reversed(list(enumerate(roles))) if role != "ranges"}
         ranges = [i for _, i in sorted((r[1], i) for i, r in enumerate(roles) if r[0] == "ranges")]
         self._refuse_lasers([names[i][: names[i].rindex("range")] for i in ranges])
         if "range" in by and "angle" not in by and "theta" in by and "x" not in by:
             by["angle"] = by.pop("theta")
-        if "laser" in by and not self._are_lasers(names[by["laser"]], by["laser"]):
-            roles[by.pop("laser")] = "aside", 0, 1.0
         if "laser" in by and "angle" in by and "range" not in by:
             by["range"] = by.pop("laser")
         if not ranges and {"angle", "range"} <= by.keys():
@@ -378,13 +376,16 @@ class _Table:
             entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
 
-    def _are_lasers(self, name: str, at: int) -> bool:
-        """Return whether a column names lasers: not its scans by number, nor files one by one."""
-        cells = [cells[at] for _, cells in self.body if at < len(cells)]
+    def _role(self, at: int, name: str) -> Role:
+        """The role of a column; one of lasers numbers no scans, nor names files one by one."""
+        if (role := role_of(name))[0] != "laser":
+            return role
+        cells = [cells[at].strip() for _, cells in self.body if at < len(cells)]
         again = sum(a != b for a, b in itertools.pairwise(cells)) >= len({*cells})
-        counts = all(re.fullmatch(r"[-+.\d]+", cell.strip()) for cell in cells)
+        counts = all(re.fullmatch(r"[-+.\d]+", cell) for cell in cells)
         sure = not counts or re.match("laser|lidar|sensor|scanner", name)
-        return len({*cells}) <= _SEVERAL and bool(sure) and (again or "source" not in name)
+        lasers = len({*cells}) <= _SEVERAL and sure and (again or "source" not in name)
+        return role if lasers else ("aside", 0, 1.0)
 
     def _refuse_lasers(self, names: Sequence[str]) -> None:
         """ScanError for ranges of several lasers, by what stands before the name of each."""
