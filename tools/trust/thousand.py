@@ -184,7 +184,7 @@ def ask(files: Mapping[str, Path], scan: LaserScan, index: Path) -> Choice:
     """What `imgloc which` answers on one thread, without its cache of prepared maps."""
     kept, _ = open_index(files, lambda path: prepare(load_map(path)), about="", file=index)
     (fits,) = search(
-        [scan], kept.names, partial(bounds_of, kept, [1.0] * len(files), options=OPTIONS),
+        [scan], kept.names, partial(bounds_of, kept, [1.0] * len(kept.names), options=OPTIONS),
         lambda name: nullcontext((prepare(load_map(files[name]), ready=False), OPTIONS)),
     )  # fmt: skip
     return choose(fits, ruled_out=len(kept.names) - len(fits))
