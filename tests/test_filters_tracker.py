@@ -10,6 +10,7 @@ from places import ANGLES, POSES, drive, features_of
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
+from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import GATE, NO_PLACES, Places, Sight, settled, view_of
@@ -21,7 +22,7 @@ from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
-from imgloc.model import LaserScan, Pose2D, compose, inverse
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.options import Every, Options, Shared
 from imgloc.pipeline import prepare
 from imgloc.robot.lasers import Laser
@@ -347,6 +348,49 @@ def test_a_given_pose_holds_unless_a_scan_fits_well_elsewhere(strained: float) -
     held = bool(np.hypot(*(best - given)[:2]) < 1.0)
     assert held == (strained == 0.0)
     assert tracker.belief.verdict != "unique"
+
+
+def niches() -> tuple[MapFeatures, ScanSet]:
+    """A corridor that is itself if turned by 180 degrees, but for one niche that is deeper.
+
+    And a drive from one end to the other.
+    """
+    free = np.zeros((60, 300), bool)
+    free[22:42, 10:290] = True
+    for column in (40, 90, 140, 200, 250):
+        free[42:50, column : column + 12] = True
+    free |= free[::-1, ::-1]
+    free[50:53, 90:102] = True
+    features = prepare(OccupancyGrid(~free, free, 0.1))
+    poses = np.array([[x, 2.9, 0.0] for x in np.arange(6.0, 22.0, 0.5)])
+    angles = np.deg2rad(np.arange(-90.0, 91.0))
+    ranges = simulate_ranges(features.grid, poses, angles, seed=3, range_max=8.0)
+    scans = tuple(LaserScan(r, angles, range_max=8.0, stamp=float(k)) for k, r in enumerate(ranges))
+    return features, ScanSet(scans, poses, np.arange(float(len(poses))), poses)
+
+
+def test_a_given_pose_at_a_twin_of_the_true_place_is_found_out() -> None:
+    features, scans = niches()
+    truth, twin = Pose2D(*scans.poses[0]), Pose2D(24.0, 3.1, np.pi)
+    ends = []
+    for start in (truth, twin):
+        tracker = make_filter("tracker", features, Options())
+        moments = list(follow(features, scans, tracker, start=start, deviation=(0.2, 0.1)))
+        ends.append(moments[16:])  # 5 m after the deeper niche was seen
+    assert {m.belief.verdict for m in ends[0]} == {"unique"}
+    assert max(errors(ends[0], scans)) < 0.2
+    assert {m.belief.verdict for m in ends[1]} == {"ambiguous"}
+
+
+def test_a_given_pose_is_forgotten_once_the_robot_is_unique_elsewhere() -> None:
+    for given, kept in ((log().poses[0], True), (np.array([5.0, 9.0, 2.0]), False)):
+        tracker, start = tracker_of(), Pose2D(*given)
+        moments = list(follow(features_of(WORLD), log(), tracker, start=start))
+        assert moments[-1].belief.verdict == "unique"
+        assert errors(moments, log())[-1] < 0.2
+        # What walls turn out to be does not bring it back.
+        tracker._begin_again()
+        assert (len(tracker.belief.poses) == 1) == kept
 
 
 def test_evidence_is_new_more_slowly_on_bent_walls() -> None:

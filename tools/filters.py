@@ -26,6 +26,7 @@ from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
 from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
+from imgloc.geometry import transform_poses
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import share
@@ -43,6 +44,9 @@ WRONG = (1.0, RIGHT[1])
 ENM = (0.3, 20.0)  #: ENM-MCL: RMSE in metres, from so many seconds on
 F3LOC = (10, (1.0, 0.5, 0.3, 0.2))  #: F3Loc: the last frames, within so many metres
 CARRIED = (10.0, 3.0)  #: a kidnapping: metres driven before and after it, and at least in it
+GIVEN = ("there", "turned", "twin")
+"""Where a robot is said to start: where it does, turned by 180 degrees, or at the best other place
+of its first scan."""
 JAIR = (0.45, 10.0)  #: JAIR 11: recovered, within metres for more than so many seconds
 
 
@@ -256,6 +260,18 @@ def kidnappings(
         yield piece(scans, before, after), len(before)
 
 
+def given_at(kind: str, scans: ScanSet, features: MapFeatures, found: Places) -> Pose2D | None:
+    """The pose, map frame, that a robot is given at the start of a log; `kind` is of :data:`GIVEN`.
+
+    `found` are the places of its first scan, grid frame. None if nothing else is among them.
+    """
+    truth = np.asarray(robot_poses(scans))[:1]
+    others = transform_poses(features.grid.origin, found.poses)
+    twins = others[np.hypot(*(others - truth)[:, :2].T) > WRONG[0]]
+    some = {"there": truth, "turned": truth + (0.0, 0.0, np.pi), "twin": twins}[kind]
+    return Pose2D(*some[0].tolist()) if len(some) else None
+
+
 def parser_of_logs(name: str, about: str | None) -> argparse.ArgumentParser:
     """The parser of a tool that measures along the logs of some folders, and writes rows."""
     parser = parser_of(f"tools.{name}", about)
@@ -284,6 +300,7 @@ class Trials:
     seconds: float = 30.0
     reset_by: str = "ght-v"  #: method whose p(x | z) new particles are drawn from
     every: Every = field(default_factory=Every)
+    given: str = ""  #: pose that a run is given at the start, of :data:`GIVEN`; empty: none
 
     def at(self, scans: ScanSet) -> list[int]:
         """The starts in a log."""
@@ -317,8 +334,10 @@ def measure(
     alone = ((runs, part, None) for part in from_starts(scans, trials.at(scans), trials.metres))
     carried = ((kidnaps, *some) for some in kidnappings(scans, trials.kidnaps, rng))
     for into, part, jump in itertools.chain(alone, carried):
-        robot = make_filter(name, features, options, **how)
-        into.append(drive(features, part, robot, trials.every, found, jump))
+        robot, start = make_filter(name, features, options, **how), None
+        if trials.given:
+            start = given_at(trials.given, part, features, found(part[0]))
+        into.append(drive(features, part, robot, trials.every, found, jump, start))
         advance()
     return summarise_runs(runs, kidnaps)
 

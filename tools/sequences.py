@@ -22,7 +22,7 @@ from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.pipeline import prepare
-from tools.filters import Searches, Trials, measure, parser_of_logs, write_rows
+from tools.filters import GIVEN, Searches, Trials, measure, parser_of_logs, write_rows
 from tools.recorded import scans_in
 from tools.script import progress, table_lines
 
@@ -39,6 +39,7 @@ class Case:
     filter: str = "tracker"
     scans: str = "as recorded"
     reset_by: str = "ght-v"
+    given: str = ""
 
 
 CASES = (
@@ -46,6 +47,7 @@ CASES = (
     Case("tracker, 5 m and 90 deg", scans="near"),
     Case("tracker, 30 % stopped short", scans="stopped"),
     Case("tracker, odometry lags", scans="lagging"),
+    *(Case(f"tracker, given {where}", given=where) for where in GIVEN),
     Case("particle, GHT-V", "particle"),
     Case("particle, CBML", "particle", reset_by="cbml"),
     Case("grid", "grid"),
@@ -111,7 +113,7 @@ def measure_log(
             kept[case.scans] = some, Searches(fine, options, keep)
         scans, searches = kept[case.scans]
         features = coarse if case.filter == "grid" else fine
-        how = replace(trials, reset_by=case.reset_by)
+        how = replace(trials, reset_by=case.reset_by, given=case.given)
         try:
             summary = measure(
                 features, scans, case.filter, how, options, searches=searches, advance=advance

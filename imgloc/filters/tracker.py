@@ -250,6 +250,9 @@ class Tracker:
         self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
         # Scans in a row that agree; weight of the way along which scans agreed, and of all.
         self._agreed, self._explained = 0, np.zeros(2)
+        # Chance that a given pose is wrong, until a scan that fits well somewhere shows where the
+        # robot is then: what leaves the pose unique if it fits at least as well.
+        self._astray = 0.0 if self._begun is None else 1 - self.how.mass[0]
 
     def _with(self, shared: Shared, options: Options) -> Options:
         """The options with an error that all readings share, and the trust that goes with it."""
@@ -354,9 +357,13 @@ class Tracker:
         return False
 
     def _remember(self) -> None:
-        """Keep the best pose if it is unique."""
-        if self.belief.verdict == UNIQUE:
-            self._unique = self._poses[int(np.argmax(self._mass))].copy(), 0.0
+        """Keep the best pose if it is unique. Then a given pose that is another one was wrong."""
+        if self.belief.verdict != UNIQUE:
+            return
+        pose = self._poses[int(np.argmax(self._mass))].copy()
+        self._unique = pose, 0.0
+        if self._begun is not None and squares(pose - self._begun[0], self._begun[1])[0] > GATE:
+            self._begun = None
 
     def _needed(self, pose: FloatArray) -> int:
         """Number of scans in a row that have to agree with the best pose (3,)."""
@@ -456,6 +463,8 @@ class Tracker:
             # is sure of another place.
             odds = max(self._odds(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
+        if self._fits_well(seen, 2 * known):  # it knows where the robot is if not there
+            lost, self._astray = max(lost, self._astray), 0.0
         self._mass, self._lost = mass, lost
         self._settle(seen, at, laser, self._mapped(gained))
         self._normalise()
@@ -598,11 +607,16 @@ class Tracker:
             return 0.0
         # A given pose holds: a scan that fits nowhere well does not speak against it alone.
         given = self._begun is not None and self._unique is None
-        if given and seen.misfit[first:].min() > self.options.fused.strained:
+        if given and not self._fits_well(seen, first):
             return 0.0
         gained = seen.gained - float(log.max() - log[first:].max())
         elsewhere = self.options.trust.mass_elsewhere(gained)
         return min(float(np.exp(_MOST)), (1 - elsewhere) / elsewhere)
+
+    def _fits_well(self, seen: Sight, first: int) -> bool:
+        """Return whether a scan fits well at one of its places from the index `first` on."""
+        least = seen.misfit[first:].min(initial=np.inf)
+        return bool(least <= self.options.fused.strained)
 
     def _follow(self, seen: Sight) -> tuple[IntArray, FloatArray]:
         """Index of the pose that each component (C,) is at, and nats that it pays for being there.
