@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from command import MAPS, Run, call, command, fed, rows
 
-from imgloc.cli.live import live_of
+from imgloc.cli.tracking import live_of
 from imgloc.filters.motion import noisy_odometry
 from imgloc.options import Logs
 from imgloc.simulation.scans import simulate_ranges
