@@ -723,7 +723,7 @@ class Localization(ByContent):
             "protection": [vars(level) for level in self.protection],
             "things": [vars(thing) for thing in e.things],
             "evidence": evidence,
-            **{name: getattr(self, name) for name in ("complete", "entropy", "explained", "counts")},
+            **{key: getattr(self, key) for key in ("complete", "entropy", "explained", "counts")},
             "timings_ms": {key: round(ms, 3) for key, ms in self.timings_ms.items()},
             "parameters": {**self.parameters, **parameters},
         }

@@ -83,7 +83,7 @@ def test_a_unique_pose_is_a_pose_and_a_transform(tmp_path) -> None:
     scan = LaserScan([1.0, 2.0], [0.0, 0.5], T_base_laser=Pose2D(0.5, 0.0, 0.0))
     recording = Recording(imgloc.load_map(MAP), ["/front", "1"])
     for laser in ("/front", "1"):
-        recording.add(replace(scan, laser=laser), moment)
+        recording.add(moment, replace(scan, laser=laser))
     recording.save(tmp_path / "one.mcap")
     recording.close()
     found = read(tmp_path / "one.mcap")

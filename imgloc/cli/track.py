@@ -1,10 +1,10 @@
 """`imgloc track`: where a moving robot is, scan after scan."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -78,9 +78,12 @@ class Outputs:
 
     def write(
         self, grid: "OccupancyGrid", moments: "Sequence[Moment]", truth: "FloatArray | None",
-        movie: "Video | None", recording: "Recording | None", title: str,
+        sinks: "Mapping[Path, Video | Recording]", title: str,
     ) -> None:  # fmt: skip
-        """Write them; `truth` are known poses (N, 3) of the robot at the moments."""
+        """Write them; `truth` are known poses (N, 3) of the robot at the moments.
+
+        The `sinks` have had each moment, by the file that they write.
+        """
         from imgloc.output.ros import message, write_bag, yaml_text
         from imgloc.output.tracks import draw_track, tum_text
 
@@ -96,10 +99,8 @@ class Outputs:
                 write_text_atomic(self.ros, yaml_text(messages), force=force)
         if self.picture is not None:
             draw_track(grid, moments, truth, title).save(self.picture, force=force)
-        if self.video is not None and movie is not None:
-            movie.save(self.video, force=force)
-        if self.mcap is not None and recording is not None:
-            recording.save(self.mcap, force=force)
+        for file, sink in sinks.items():
+            sink.save(file, force=force)
         for path in (self.tum, self.ros, self.picture, self.video, self.mcap):
             if path is not None:
                 LOG.info("wrote %s", display(path))
@@ -198,21 +199,20 @@ def track(
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
         title = f"{map_name(map_path)}: {inputs.name_of(log)}"
-        movie = Video(features, video.suffix.lower(), title) if (video := outputs.video) else None
-        recording = None if outputs.mcap is None else Recording(grid, scans.lasers)
-        shown, seen = list[Any](), scans.scans.__getitem__ if live is None else live.last
-        if movie is not None:
-            undo.callback(movie.close)
-            shown.append(lambda moment: movie.add(moment, seen(moment.index)))
-        if recording is not None:
-            undo.callback(recording.close)
-            shown.append(lambda moment: recording.add(seen(moment.index), moment))
+        sinks: dict[Path, Video | Recording] = {}
+        if outputs.video is not None:
+            sinks[outputs.video] = Video(features, outputs.video.suffix.lower(), title)
+            undo.callback(sinks[outputs.video].close)
+        if outputs.mcap is not None:
+            sinks[outputs.mcap] = Recording(grid, scans.lasers)
+            undo.callback(sinks[outputs.mcap].close)
+        seen = scans.scans.__getitem__ if live is None else live.last
         opinion = watched(asked.watch, features, options, scans, logs)
         told = Told(grid.origin, as_json, outputs.best, opinion)
-        moments, words = printed(run, len(scans), live, shown, told)
+        moments, words = printed(run, len(scans), live, told, [*sinks.values()], seen)
         desk.keep(features)
         truth = truth_of(given, outputs.truth, moments, scans, live)
-        outputs.write(grid, moments, truth, movie, recording, title)
+        outputs.write(grid, moments, truth, sinks, title)
     if not moments:
         raise ScanError(f"{inputs.name_of(log)}: has no scan with odometry")
     say(words)

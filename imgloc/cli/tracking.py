@@ -28,9 +28,10 @@ from imgloc.io.scanset import ScanSet
 from imgloc.io.tum import load_tum
 from imgloc.model import FloatArray, LaserScan, Pose2D, to_json
 from imgloc.options import Logs, Options
+from imgloc.output.mcap import Recording
 from imgloc.output.rows import moment_row
 from imgloc.output.tables import bent_words
-from imgloc.output.tracks import track_header, track_line, way_words
+from imgloc.output.tracks import Video, track_header, track_line, way_words
 from imgloc.robot.recording import SCANS
 from imgloc.runs.opening import Desk, ScanFiles
 
@@ -243,10 +244,13 @@ def watched(
 
 
 def printed(
-    run: Iterable[Moment], count: int, live: Live | None,
-    shown: Sequence[Callable[[Moment], None]], told: Told,
+    run: Iterable[Moment], count: int, live: Live | None, told: Told,
+    sinks: Sequence[Video | Recording], seen: Callable[[int], LaserScan],
 ) -> tuple[list[Moment], str]:  # fmt: skip
-    """The moments, each printed and `shown` as it comes, and a word about all of them."""
+    """The moments, each printed as it comes, and a word about all of them.
+
+    The `sinks` take each with its scan, which is `seen` by its index.
+    """
     moments, begin, speed = list[Moment](), time.perf_counter(), ""
     with progress("track", count) as advance:
         for moment in run:
@@ -256,8 +260,8 @@ def printed(
             emit(told.line(moment))
             if live is not None:
                 live.answered()
-            for show in shown:
-                show(moment)
+            for sink in sinks:
+                sink.add(moment, seen(moment.index))
             gone = moment.stamp - moments[0].stamp
             took = max(1e-9, time.perf_counter() - begin)
             speed = "" if math.isnan(gone) else f"{gone / took:.1f} x real time"

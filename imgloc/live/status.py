@@ -167,6 +167,8 @@ def status_row(
         Whether scans, or what belongs to them, do not come in time.
     """
     one = found or Found(math.nan, None, "")
+    # The other places, or all of them while none can be relied upon.
+    places = list(zip(one.poses, one.masses, strict=True))
     pose = one.poses[0] if one.poses and stands else None
     why = "" if found is None or pose is not None else one.why or ("late" if late else "")
     row: dict[str, Any] = {
@@ -178,7 +180,7 @@ def status_row(
         "verdict": one.verdict or None,
         "withheld": why,
         "state": first.state,
-        "alternatives": _alternatives(one, skip=pose is not None),
+        "alternatives": [plain(p) | {"mass": mass} for p, mass in places[int(pose is not None) :]],
         **{name: getattr(one, name) for name in ("masses", "explained", "stamp")},
         "age": now - one.stamp,
         "tries": first.tries,
@@ -186,12 +188,6 @@ def status_row(
         "message": said,
     }
     return dict(plain(row))
-
-
-def _alternatives(found: Found, *, skip: bool) -> list[dict[str, float]]:
-    """The other places, or all of them while none can be relied upon."""
-    pairs = list(zip(found.poses, found.masses, strict=True))[int(skip) :]
-    return [{"x": p.x, "y": p.y, "theta": p.theta, "mass": mass} for p, mass in pairs]
 
 
 def health(
