@@ -57,9 +57,7 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stderr.decode().strip() == ""
 
 
-def test_a_prepared_map_waits_for_no_library_that_it_does_not_use(
-    scans: Path, tmp_path: Path
-) -> None:
+def test_a_prepared_map_waits_for_no_library_that_it_does_not_use(scans, tmp_path):
     aside = ("skimage.util", "skimage.morphology", "scipy", "pydantic", "rich", "imgloc.filters")
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
@@ -166,9 +164,7 @@ def test_names_spelled_out_for_the_help_are_those_of_the_code() -> None:
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_every_failure_is_one_line_and_its_exit_code(
-    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_failure_is_one_line_and_its_exit_code(error, code, line, capsys):
     app = typer.Typer(cls=Group, pretty_exceptions_enable=False, rich_markup_mode=None)
 
     @app.command()
@@ -244,9 +240,7 @@ def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path, tmp_path:
     assert len(rows(out.decode())) < 3999
 
 
-def test_an_interrupt_while_the_command_line_is_loaded(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupt_while_the_command_line_is_loaded(monkeypatch, capsys):
     real = builtins.__import__
 
     def interrupted(name: str, *rest: Any) -> Any:
@@ -308,9 +302,7 @@ def test_emit_survives_without_a_stdout(monkeypatch: pytest.MonkeyPatch) -> None
     emit("nobody hears this")
 
 
-def test_demo_runs_twice_in_an_empty_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_demo_runs_twice_in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     first, second = spawn("demo", cwd=tmp_path), call("demo")
     assert (first.code, second.code) == (0, 0)

@@ -46,9 +46,7 @@ def test_several_scans_are_numbered_pages(scans: Path, tmp_path: Path) -> None:
     ("name", "code", "expected"),
     [("why.htm", 2, "ends in .html"), ("no/why.html", 1, "there is no folder")],
 )
-def test_bad_names_are_refused_at_once(
-    name: str, code: int, expected: str, scans: Path, tmp_path: Path
-) -> None:
+def test_bad_names_are_refused_at_once(name, code, expected, scans, tmp_path):
     call("localize", CURVED, scans, "--explain", tmp_path / name).ends(code, expected, out="")
     assert not list(tmp_path.iterdir())
 

@@ -28,9 +28,7 @@ def through_stdin(monkeypatch: pytest.MonkeyPatch, data: bytes, *arguments: obje
     return call("localize", "curved", "-", OFF, *arguments)
 
 
-def test_standard_input_is_read_whatever_it_is(
-    scans: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_standard_input_is_read_whatever_it_is(scans, monkeypatch):
     with np.load(scans) as held:
         ranges, angles = held["ranges"][1], held["angles"]
     text = "".join(f"{a},{r}\n" for a, r in zip(angles, ranges, strict=True))
@@ -51,9 +49,7 @@ def test_standard_input_is_read_whatever_it_is(
     "words",
     [("sample", "curved", "-"), ("map", "show", "curved", "--what=likelihood", "--scans=-")],
 )
-def test_standard_input_has_a_name(
-    words: tuple[str, ...], scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_standard_input_has_a_name(words, scans, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(scans.read_bytes())))
     out = tmp_path / ("a.csv" if words[0] == "sample" else "a.png")
     run = call(*words, "--scans-index", 9, "--out", out)
@@ -215,9 +211,7 @@ def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
         (("evaluate", "--scans-index", "3"), "--scans-index: is for evaluate --scans, not"),
     ],
 )
-def test_what_is_no_choice_of_scans_is_said(
-    words: tuple[str, ...], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_choice_of_scans_is_said(words, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     twelve(tmp_path)
     named = {"which": (MAPS, "a.npz"), "evaluate": ("curved",)}

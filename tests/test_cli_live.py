@@ -78,9 +78,7 @@ def test_each_line_is_answered_before_the_next_one_comes(lines: list[str], tmp_p
     assert "from line in to line out p50" in said
 
 
-def test_a_named_pipe_is_followed_and_a_cut_line_is_left_out(
-    lines: list[str], tmp_path: Path
-) -> None:
+def test_a_named_pipe_is_followed_and_a_cut_line_is_left_out(lines, tmp_path):
     path = tmp_path / "pipe"
     os.mkfifo(path)
     text = "\n" + "".join(lines[:3]) + lines[3][:40]
@@ -93,9 +91,7 @@ def test_a_named_pipe_is_followed_and_a_cut_line_is_left_out(
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
-def test_a_file_that_grows_is_followed_through_its_rotation(
-    lines: list[str], tmp_path: Path
-) -> None:
+def test_a_file_that_grows_is_followed_through_its_rotation(lines, tmp_path):
     path = tmp_path / "log.jsonl"
     path.write_text(lines[0] + lines[1][:50])
     run = started(path, "--json", "--follow", "--tum", tmp_path / "a.tum")
@@ -191,9 +187,7 @@ def whole(lines: list[str]) -> str:
 
 
 @pytest.mark.parametrize("broken", ["garbage", '{"odom": [NaN, 0, 0]}'])
-def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(
-    lines: list[str], whole: str, broken: str
-) -> None:
+def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(lines, whole, broken):
     text = "".join([*lines[:4], broken + "\n", *lines[4:]])
     run = followed(text, "--json", "--max-bad", "0.2")
     run.ends(0, "standard input: line 5: ", "the line is left out")

@@ -84,9 +84,7 @@ def test_a_scan_that_says_nothing_may_be_from_anywhere(method: str, tmp_path: Pa
     ],
     ids=str,
 )
-def test_refuses(
-    scans: Path, tmp_path: Path, words: list[object], code: int, expected: str
-) -> None:
+def test_refuses(scans, tmp_path, words, code, expected):
     call("sample", CURVED, scans, "--out", tmp_path / "a.csv", *words).ends(code, expected, out="")
     assert not list(tmp_path.iterdir())
 
@@ -96,9 +94,7 @@ def test_the_file_is_named_csv(scans: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("method", ["fused", "ght-v"])
-def test_an_invalid_scan_is_drawn_from_everywhere_and_said_so(
-    method: str, scans: Path, tmp_path: Path
-) -> None:
+def test_an_invalid_scan_is_drawn_from_everywhere_and_said_so(method, scans, tmp_path):
     data = dict(np.load(scans))
     data["ranges"][0, 9:] = np.nan  # nine readings are left
     np.savez(tmp_path / "nine.npz", **data)

@@ -190,9 +190,7 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
     assert "frame" not in call("localize", image, log, *same[:2], "--scans-index", 0).err
 
 
-def test_unknown_cells_that_count_as_free_are_said(
-    log: Path, tmp_path: Path, caplog, monkeypatch
-) -> None:
+def test_unknown_cells_that_count_as_free_are_said(log, tmp_path, caplog, monkeypatch):
     pixels = np.array(PIL.Image.open(MAP.with_suffix(".png")))
     pixels[pixels > 128] = 254
     pixels[:20] = 205
@@ -213,9 +211,7 @@ def test_unknown_cells_that_count_as_free_are_said(
 # --- the environment
 
 
-def test_a_limit_of_the_cache_that_is_no_number_is_refused(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_limit_of_the_cache_that_is_no_number_is_refused(log, tmp_path, monkeypatch):
     for value in ("abc", "-5", "1e3", "٣", "9" * 400):
         monkeypatch.setenv("IMGLOC_CACHE_MIB", value)
         with pytest.raises(ConfigError, match="expected a whole number of MiB, such as 2048"):

@@ -87,9 +87,7 @@ def test_features_and_answer_take_no_more_than_estimated(method: str) -> None:
     assert taken <= features.bytes_for(method) + answer_bytes(features, options)
 
 
-def test_the_budget_of_the_options_is_that_of_the_ray_distances(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_budget_of_the_options_is_that_of_the_ray_distances(monkeypatch):
     monkeypatch.setattr("imgloc.features.budget.available_bytes", lambda: 0)
     features = MapFeatures(office(1, 0.1), n_rays=24)
     with pytest.raises(ConfigError, match=r"24 directions x 50 x 50 cells, needs 1 MiB of memory"):

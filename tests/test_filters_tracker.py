@@ -401,9 +401,7 @@ def test_walls_that_are_drawn_too_thick_are_no_scale() -> None:
 
 
 @pytest.mark.parametrize(("spread", "expected"), [(0.0, 1.03), (0.026, 1.03), (0.06, 1.0)])
-def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(
-    monkeypatch: pytest.MonkeyPatch, spread: float, expected: float
-) -> None:
+def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(monkeypatch, spread, expected):
     tracker = tracker_of()
     tracker.options = replace(tracker.options, fused=replace(tracker.options.fused, strained=0.0))
     drawn = iter(1.03 * np.exp(spread * np.array([-1, -0.5, 0, 0, 0.5, 1])))

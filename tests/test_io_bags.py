@@ -185,9 +185,7 @@ def test_odometry_may_be_in_the_transforms_or_nowhere_near(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e308])
-def test_odometry_that_cannot_be_is_left_out(
-    tmp_path: Path, value: float, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_odometry_that_cannot_be_is_left_out(tmp_path, value, caplog):
     m, content = messages_of(False), list[tuple[str, str, object]]()
     for k in range(9):
         x = value if k == 4 else 0.1 * k
@@ -199,9 +197,7 @@ def test_odometry_that_cannot_be_is_left_out(
 
 
 @pytest.mark.parametrize(("kind", "saves"), [("bag", "rosbag reindex"), ("mcap", "mcap recover")])
-def test_a_bag_that_was_cut_off_is_told_what_may_save_it(
-    tmp_path: Path, kind: str, saves: str
-) -> None:
+def test_a_bag_that_was_cut_off_is_told_what_may_save_it(tmp_path, kind, saves):
     path = write(tmp_path / ("a.bag" if kind == "bag" else "a"), kind, robot(kind))
     file = path if kind == "bag" else next(path.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[:-300])
@@ -210,9 +206,7 @@ def test_a_bag_that_was_cut_off_is_told_what_may_save_it(
 
 
 @pytest.mark.parametrize("name", ["upload", "A.BAG"])
-def test_a_bag_whose_name_does_not_tell_its_storage_is_not_called_damaged(
-    tmp_path: Path, name: str
-) -> None:
+def test_a_bag_whose_name_does_not_tell_its_storage_is_not_called_damaged(tmp_path, name):
     path = write(tmp_path / "a.bag", "bag", robot("bag")).rename(tmp_path / name)
     with pytest.raises(ScanError, match=r"is a bag, expected a name that ends in \.bag, \.mcap"):
         load_scans(path)

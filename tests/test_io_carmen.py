@@ -130,9 +130,7 @@ def test_stamps_without_digits_are_none(tmp_path: Path) -> None:
     [("belgioioso", "belgioioso.log"), ("fr079", "fr079.log"),
      ("duke_loop5", "duke_loop5.dpslam.log")],
 )  # fmt: skip
-def test_logs_of_other_programs_are_the_scans_that_others_read_of_them(
-    shared: Path, name: str, file: str
-) -> None:
+def test_logs_of_other_programs_are_the_scans_that_others_read_of_them(shared, name, file):
     data = shared / "data"
     scans, known = read_carmen(data / "raw" / file), load_scans(data / name / "scans.npz")
     odd = range(1, len(scans), 2)  # the others made the map

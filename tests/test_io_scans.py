@@ -256,9 +256,7 @@ GOOD = write_npz(a_set(poses=np.zeros((3, 3))))
 
 
 @given(data=st.data())
-def test_every_truncation_of_an_npz_is_refused(
-    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_every_truncation_of_an_npz_is_refused(data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "t.npz"
     path.write_bytes(GOOD[: data.draw(st.integers(0, len(GOOD) - 1))])
     with pytest.raises(ScanError, match=r"t\.npz: "):
@@ -278,9 +276,7 @@ def test_no_single_byte_can_take_range_max_away(tmp_path: Path) -> None:
 
 
 @given(data=st.data())
-def test_a_damaged_npz_gives_the_same_ranges_or_an_error(
-    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_damaged_npz_gives_the_same_ranges_or_an_error(data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "d.npz"
     bad = bytearray(GOOD)
     for _ in range(data.draw(st.integers(1, 3))):

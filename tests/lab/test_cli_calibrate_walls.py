@@ -63,9 +63,7 @@ def test_scans_that_fit_nowhere_alone_calibrate_a_map_together(bent: Path) -> No
         (["--range-scale", 0], "--range-scale: is no option here; imgloc convert LOG scans.npz"),
     ],
 )
-def test_calibrate_reads_a_log_as_localize_does(
-    thick: Path, words: list[object], expected: str
-) -> None:
+def test_calibrate_reads_a_log_as_localize_does(thick, words, expected):
     given = [thick / word if word == "log.npz" else word for word in words]
     run = call("calibrate", thick / "map.yaml", *given).ends(2, out="")
     assert expected in " ".join(run.err.split())

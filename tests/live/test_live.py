@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,9 +116,7 @@ def why_of(future: "Future[object]") -> str:
 # What is answered.
 
 
-def test_an_answer_is_that_of_localize_and_says_whose_it_is(
-    core: Localizer, scans: list[LaserScan]
-) -> None:
+def test_an_answer_is_that_of_localize_and_says_whose_it_is(core, scans):
     features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
     for scan in scans[:3]:
         answer = core.localize(scan, "curved")
@@ -145,9 +142,7 @@ def test_update_is_follow(core: Localizer, log: ScanSet) -> None:
     assert alone[-1]["verdict"] == "unique"
 
 
-def test_what_is_known_and_what_was_calibrated_counts(
-    scans: list[LaserScan], tmp_path: Path
-) -> None:
+def test_what_is_known_and_what_was_calibrated_counts(scans, tmp_path):
     grid = imgloc.load_map(MAPS / "curved.yaml")
     imgloc.save_map(tmp_path / "a.yaml", grid)
     path = calibration_path(tmp_path / "a.yaml")
@@ -188,9 +183,7 @@ def made_lazily(features: MapFeatures) -> dict[int, set[str]]:
 
 
 @pytest.mark.parametrize("tracking", [Tracking(), Tracking("grid")])
-def test_nothing_is_made_of_a_map_after_it_is_ready(
-    scans: list[LaserScan], tracking: Tracking
-) -> None:
+def test_nothing_is_made_of_a_map_after_it_is_ready(scans, tracking):
     features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
     with Localizer(features, tracking=tracking) as core:
         assert core.ready
@@ -451,9 +444,7 @@ def test_closing_drops_what_waits_and_refuses_the_rest(scans: list[LaserScan]) -
 # Robots.
 
 
-def test_a_reset_drops_what_is_looked_at_and_waits_for_nothing(
-    log: ScanSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reset_drops_what_is_looked_at_and_waits_for_nothing(log, monkeypatch):
     """The step of an old belief goes on, but changes nothing and answers nobody."""
     entered, go = threading.Event(), threading.Event()
     step = imgloc.filters.follow.Follower.step

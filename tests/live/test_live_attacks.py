@@ -115,9 +115,7 @@ def test_a_long_list_of_indices_is_refused_before_it_is_made(service: Served) ->
     assert "at most 1,000 at once; index names some" in answer.json()["detail"]
 
 
-def test_json_of_millions_of_numbers_is_refused_before_it_holds_all_threads(
-    service: Served,
-) -> None:
+def test_json_of_millions_of_numbers_is_refused_before_it_holds_all_threads(service):
     body = b'{"angle_min": 0, "angle_increment": 0.001, "ranges": [' + b"1," * 500_000 + b"1]}"
     kind = {"Content-Type": "application/json"}
     answer = httpx.post(f"{service.address}/v1/localize", content=body, headers=kind, timeout=60)

@@ -145,16 +145,12 @@ def test_scans_and_odometry_that_cannot_be_do_not_end_it(heard: Heard) -> None:
     assert heard.node._health()[0] < ERROR
 
 
-def test_a_message_that_nobody_thought_of_is_left_out(
-    heard: Heard, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_message_that_nobody_thought_of_is_left_out(heard, capfd):
     heard.send("odom", SimpleNamespace())  # any error that is not imgloc's own
     assert "odom: left out; a defect, AttributeError" in capfd.readouterr().err
 
 
-def test_a_status_that_cannot_be_told_does_not_end_the_node(
-    heard: Heard, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_status_that_cannot_be_told_does_not_end_the_node(heard, capfd):
     first, heard.node.first = heard.node.first, "a defect"  # whatever makes the timer's work fail
     heard.until(lambda: "status: left out; a defect" in capfd.readouterr().err)
     heard.node.first = first
@@ -268,9 +264,7 @@ def test_one_stale_scan_changes_nothing_and_a_clock_set_back_does(heard: Heard) 
     assert heard.node._era == 2
 
 
-def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
-    heard: Heard, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(heard, monkeypatch):
     monkeypatch.setattr("imgloc.live.node.LATE", 0.2)
     heard.send("map", heard.map())
     heard.until(lambda: heard.core.ready)

@@ -146,9 +146,7 @@ def copied(page: Any, key: str) -> str:
     return str(page.locator("#copied").input_value())
 
 
-def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(
-    page: Any, tmp_path: Path
-) -> None:
+def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(page, tmp_path):
     scans = tmp_path / "some.npz"
     assert call("simulate", MAPS / "curved.yaml", "-n", 3, "--out", scans).code == 0
     drop(
@@ -188,9 +186,7 @@ def test_maps_of_one_name_are_told_apart_and_are_there_after_a_reload(page: Any)
 
 
 @pytest.mark.parametrize("image", ["map", "hall 2"])
-def test_a_map_that_is_called_map_has_the_name_of_its_folder_or_of_its_image(
-    page: Any, tmp_path: Path, image: str
-) -> None:
+def test_a_map_that_is_called_map_has_the_name_of_its_folder_or_of_its_image(page, tmp_path, image):
     folder = tmp_path / "annex"
     folder.mkdir()
     text = (MAPS / "curved.yaml").read_text().replace("curved.png", f"{image}.png")
@@ -442,9 +438,7 @@ def test_layers(page: Any, log: Path) -> None:
             shown = pixels(page)
 
 
-def test_the_copied_command_and_python_give_the_same_answer(
-    page: Any, log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_copied_command_and_python_give_the_same_answer(page, log, monkeypatch):
     drop(page, (log.name, log.read_bytes()))
     answered(page)
     page.keyboard.press("k")  # what is known: about here
@@ -720,9 +714,7 @@ def made(log: Path, path: Path) -> None:
 
 
 @pytest.mark.parametrize("words", OPENED)
-def test_what_is_copied_gives_what_the_page_shows(
-    browser: Any, log: Path, tmp_path: Path, words: str
-) -> None:
+def test_what_is_copied_gives_what_the_page_shows(browser, log, tmp_path, words):
     path = tmp_path / OPENED[words]
     made(log, path)
     shutil.copy(MAPS / "visibility.png", tmp_path)

@@ -97,9 +97,7 @@ def laser_scan(scans: Path, k: int) -> dict[str, Any]:
         (["--scans-index", "2", "--flipped"], {"index": "2", "flipped": "true"}),
     ],
 )  # fmt: skip
-def test_an_answer_is_what_localize_prints(
-    http: httpx.Client, scans: Path, options: list[str], asked: dict[str, Any]
-) -> None:
+def test_an_answer_is_what_localize_prints(http, scans, options, asked):
     here = call("localize", MAP, scans, "--json", *options)
     there = http.post("/v1/localize", params={"map": "visibility", **asked},
                       content=scans.read_bytes())  # fmt: skip
@@ -195,9 +193,7 @@ def test_a_map_that_is_sent_is_its_sender_s(service: Served, http: httpx.Client)
     assert http.delete(f"/v1/maps/{one['id']}").status_code == 204
 
 
-def test_a_map_outlives_many_uploads_while_a_robot_is_followed_in_it(
-    service: Served, http: httpx.Client
-) -> None:
+def test_a_map_outlives_many_uploads_while_a_robot_is_followed_in_it(service, http):
     id_ = upload(service.address, "followed", "curved").json()["id"]
     small = cv2.imencode(".png", room())[1].tobytes()
     others = list[str]()
@@ -350,9 +346,7 @@ def test_a_file_that_is_cut_is_answered_without_its_last_line_and_says_so(
 # How a scan fits, and layers.
 
 
-def test_a_pose_is_scored_as_the_answer_has_it_and_settles_where_the_answer_is(
-    http: httpx.Client, scans: Path
-) -> None:
+def test_a_pose_is_scored_as_the_answer_has_it_and_settles_where_the_answer_is(http, scans):
     body = scans.read_bytes()
     asked = {"map": "visibility", "index": "0"}
     best = http.post("/v1/localize", params=asked, content=body).json()["hypotheses"][0]
@@ -421,9 +415,7 @@ def test_an_atlas_is_that_of_the_laser_of_a_scan(http: httpx.Client, scans: Path
     assert "scans: missing" in problem(no_scan, 400, "bad-parameter")
 
 
-def test_marked_scans_come_back_with_their_poses(
-    http: httpx.Client, scans: Path, tmp_path: Path
-) -> None:
+def test_marked_scans_come_back_with_their_poses(http, scans, tmp_path):
     id_ = http.post("/v1/scans?name=a.npz", content=scans.read_bytes()).json()["id"]
     given = [[2, 1.5, -2.0, 0.25], [0, 3, 4, -3]]
     answer = http.post(f"/v1/scans/{id_}/marked", json={"poses": given})
@@ -447,9 +439,7 @@ def test_marked_scans_come_back_with_their_poses(
     problem(nothing, 404, "not-found")
 
 
-def test_a_region_is_that_of_the_command_line(
-    http: httpx.Client, scans: Path, tmp_path: Path
-) -> None:
+def test_a_region_is_that_of_the_command_line(http, scans, tmp_path):
     region = "1,1,12,1,12,9,1,9"
     image = http.get(f"/v1/layers/region?map=visibility&region={region}")
     (tmp_path / "region.png").write_bytes(image.content)
@@ -497,10 +487,7 @@ def test_what_may_be_wrong_is_that_of_the_command_line(http: httpx.Client, scans
         ("/healthz", b"", 405, "method-not-allowed", "GET"),
     ],
 )  # fmt: skip
-def test_a_wrong_request_is_told_what_is_wrong(
-    http: httpx.Client, scans: Path, path: str, body: bytes | None, status: int, kind: str,
-    said: str,
-) -> None:  # fmt: skip
+def test_a_wrong_request_is_told_what_is_wrong(http, scans, path, body, status, kind, said):
     content = scans.read_bytes() if body is None else body
     assert said in problem(http.post(path, content=content), status, kind)
 
@@ -527,9 +514,7 @@ def bombs() -> dict[str, tuple[str, bytes]]:
 
 
 @pytest.mark.parametrize("name", ["npz", "png", "json", "csv", "lines"])
-def test_a_bomb_is_refused_before_it_is_unpacked(
-    service: Served, http: httpx.Client, name: str
-) -> None:
+def test_a_bomb_is_refused_before_it_is_unpacked(service, http, name):
     path, body = bombs()[name]
     before = memory(service, "VmHWM")
     answer = http.post(path, content=body)
@@ -606,9 +591,7 @@ def test_half_a_head_half_a_body_and_nonsense_cost_nothing(http: httpx.Client) -
         ({"Sec-Fetch-Site": "cross-site"}, "forbidden"),
     ],
 )
-def test_pages_of_other_sites_are_refused(
-    service: Served, http: httpx.Client, headers: dict[str, str], kind: str
-) -> None:
+def test_pages_of_other_sites_are_refused(service, http, headers, kind):
     problem(http.get("/v1/maps", headers=headers), 403, kind)
     if "Host" not in headers:
         with pytest.raises(Exception, match="403"):
@@ -866,9 +849,7 @@ def test_the_examples_with_curl_are_answered(tmp_path: Path, monkeypatch: Any) -
     ("key", "value"),
     [("angle_min", "x"), ("angle_increment", 13.6), ("angle_max", {}), ("range_max", "5")],
 )
-def test_what_a_scan_does_not_need_has_to_be_right_too(
-    http: httpx.Client, scans: Path, key: str, value: object
-) -> None:
+def test_what_a_scan_does_not_need_has_to_be_right_too(http, scans, key, value):
     body = {"angle_min": None, "mount": None, **laser_scan(scans, 0)}
     assert http.post("/v1/localize?map=visibility", json=body).status_code == 200
     answer = http.post("/v1/localize?map=visibility", json={**body, key: value})

@@ -94,9 +94,7 @@ def timeless(folder: Path) -> list[str]:
     return sorted(json.dumps({**row, "cost": None}) for row in read_rows(folder))
 
 
-def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(
-    site: Path, address: str, tmp_path: Path
-) -> None:
+def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(site, address, tmp_path):
     with ThreadPoolExecutor(1) as pool:
         run_batch(site / "post.yaml", site / "scans", tmp_path / "here", JOB, executor=pool)
     with distributed.Client(address) as client:

@@ -118,9 +118,7 @@ def pdf(path: Path, scale: str = "Scale 1:100") -> Path:
         (0.01, 6, "cm, by the widths of 2 doors, and not m as the file states"),
     ],
 )
-def test_the_unit_is_that_of_the_header_if_doors_agree(
-    tmp_path: Path, unit: float, header: int, said: str
-) -> None:
+def test_the_unit_is_that_of_the_header_if_doors_agree(tmp_path, unit, header, said):
     path = dxf(tmp_path / "a.dxf", unit, header)
     run = call("map", "plan", path, "-o", tmp_path / "a.yaml", "--json").ends(0)
     (row,) = rows(run.out)
