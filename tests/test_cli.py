@@ -259,8 +259,6 @@ def test_an_interrupt_while_the_command_line_is_loaded(monkeypatch, capsys):
 def test_a_closed_pipe_ends_the_run_quietly(scans: Path) -> None:
     words = command(["localize", MAPS / "curved.yaml", scans, "--json", "--threads", "1"])
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
-        assert run.stdout is not None
-        assert run.stderr is not None
         run.stdout.readline()
         run.stdout.close()
         assert run.stderr.read() == b""

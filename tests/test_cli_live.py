@@ -66,7 +66,6 @@ def test_each_line_is_answered_before_the_next_one_comes(lines: list[str], tmp_p
     path.write_text("".join(lines))
     whole = call("track", MAP, path, "--json", "--tum", tmp_path / "file.tum").ends(0)
     run, got = started("-", "--json", "--tum", tmp_path / "pipe.tum"), []
-    assert run.stdin is not None
     for line in lines:
         run.stdin.write(line)
         run.stdin.flush()

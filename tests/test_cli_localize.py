@@ -79,7 +79,6 @@ def test_json_has_the_documented_keys_and_the_right_poses(scans: Path) -> None:
     answers = rows(out)
     assert [a["index"] for a in answers] == [0, 1, 2]
     truth = load_scans(scans).poses
-    assert truth is not None
     for answer, pose in zip(answers, truth, strict=True):
         assert list(answer) == KEYS
         assert answer["verdict"] == "unique"
@@ -156,8 +155,6 @@ def test_origin_with_a_yaw_moves_every_pose(scans: Path, tmp_path: Path) -> None
     for path, name in ((CURVED, "a"), (turned, "b")):
         assert call("simulate", path, "-n", 2, "--out", tmp_path / f"{name}.npz").code == 0
     a, b = (load_scans(tmp_path / f"{name}.npz") for name in "ab")
-    assert a.poses is not None
-    assert b.poses is not None
     np.testing.assert_allclose(b.poses, transform_poses(origin, a.poses), atol=1e-9)
     np.testing.assert_array_equal(a[1].ranges, b[1].ranges)
     text = call("localize", turned, tmp_path / "b.npz", "--scans-index", 0).out

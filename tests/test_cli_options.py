@@ -34,7 +34,6 @@ def plain(scans: Path) -> dict:
 
 def away(row: dict, scans: Path) -> float:
     poses = load_scans(scans).poses
-    assert poses is not None
     best = row["hypotheses"][0]
     return float(np.hypot(best["x"] - poses[0, 0], best["y"] - poses[0, 1]))
 

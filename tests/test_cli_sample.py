@@ -35,7 +35,6 @@ def test_most_are_where_the_scan_was_taken(method: str, scans: Path, tmp_path: P
     words = ("--cell", 0.2, "--method", method, "-n", 200, "--out", tmp_path / "a.csv")
     rows = drawn(CURVED, scans, *words)
     truth = load_scans(scans).poses
-    assert truth is not None
     assert rows[:, 0].tolist() == [0] * 200 + [1] * 200
     for k in range(2):
         assert near(rows[rows[:, 0] == k, 1:], truth[k]) > 0.5

@@ -65,8 +65,6 @@ def log(*mounts: Pose2D) -> ScanSet:
 def carmen(path: Path) -> Path:
     """The log of both as CARMEN writes it."""
     scans = log(FRONT, REAR)
-    assert scans.stamps is not None
-    assert scans.odom is not None
     lines = [f"PARAM robot_{side}_laser_max {REACH}" for side in ("front", "rear")]
     for scan, stamp, odom in zip(scans.scans, scans.stamps, scans.odom, strict=True):
         assert scan.T_base_laser is not None
@@ -102,7 +100,6 @@ def test_every_filter_follows_the_robot_not_its_lasers(name: str) -> None:
     start = Pose2D(*PATH[0])
     moments = list(follow(features, scans, chosen, start=start, deviation=(0.2, 0.1)))
     truth = robot_poses(scans)
-    assert truth is not None
     np.testing.assert_allclose(truth[::2], PATH)
     worst = max(error(m.best, t)[0] for m, t in zip(moments, truth, strict=True) if m.best)
     assert worst < 0.25

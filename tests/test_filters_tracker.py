@@ -85,8 +85,6 @@ def test_it_is_found_and_published_only_when_unique() -> None:
 
 def test_map_odom_takes_odometry_to_the_map() -> None:
     last = tracked()[-1]
-    assert last.map_odom is not None
-    assert last.best is not None
     at = compose_poses(
         np.array([last.map_odom.x, last.map_odom.y, last.map_odom.theta]), log().odom[-1]
     )
@@ -104,8 +102,6 @@ def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
     for one, other in zip(tracked(), moments, strict=True):
         if not one.looked or not other.looked:
             continue
-        assert one.best is not None
-        assert other.best is not None
         sensor = compose(other.best, mount)
         # Not the same: what odometry may be wrong by is that of the robot's own motion.
         assert one.best.x == pytest.approx(sensor.x, abs=0.03)

@@ -86,7 +86,6 @@ def test_arrays_are_mapped_and_aligned(tmp_path: Path) -> None:
     arrays = {"a": np.arange(7, dtype=np.uint8), "b.c": np.ones((300, 50), np.int16), **ARRAYS}
     store_entry(tmp_path, KEY, arrays)
     back = load_entry(tmp_path, KEY)
-    assert back is not None
     for name in arrays:
         assert back[name].ctypes.data % 64 == 0
         base = back[name]

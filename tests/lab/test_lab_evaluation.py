@@ -54,7 +54,6 @@ def scans() -> ScanSet:
 def test_a_trial_is_what_the_stack_says(method: str, scans: ScanSet) -> None:
     found = trials(method, room(), scans)
     features = prepare(room(), n_rays=60)
-    assert scans.poses is not None
     for trial, scan, (x, y, theta) in zip(found, scans.scans, scans.poses, strict=True):
         stack = likelihood(features, scan, method_options(method, np.deg2rad(6.0)))
         everywhere = np.ones_like(features.free)
@@ -81,7 +80,6 @@ def test_a_trial_is_what_the_stack_says(method: str, scans: ScanSet) -> None:
 @pytest.mark.parametrize("method", ["fused", "cbml", "ght-v"])
 def test_an_origin_with_a_yaw_changes_nothing(method: str, scans: ScanSet) -> None:
     origin = Pose2D(-7.0, 3.0, 2.5)
-    assert scans.poses is not None
     moved = ScanSet(scans.scans, poses=transform_poses(origin, np.array(scans.poses)))
     for here, there in zip(
         trials(method, room(), scans), trials(method, room(origin), moved), strict=True
@@ -205,7 +203,6 @@ def test_only_bundled_worlds_are_drawn_finely() -> None:
     path = bundled_maps() / "curved.yaml"
     grid = load_map(path)
     fine = fine_image(path, grid)
-    assert fine is not None
     np.testing.assert_array_equal(fine.occupied, render(WORLDS["curved"](), 0.01).occupied)
     assert fine_image(path, load_map(path, resolution=0.05)) is None  # it is smaller now
     assert fine_image(path, load_map(path, origin=(1, 0, 0))) is None
@@ -215,8 +212,6 @@ def test_only_bundled_worlds_are_drawn_finely() -> None:
 def test_simulated_sets_are_in_the_map_frame() -> None:
     origin = Pose2D(5.0, -2.0, 0.7)
     here, there = (simulate(room(o), 4, 9, Sensor(rays=7)) for o in (None, origin))
-    assert here.poses is not None
-    assert there.poses is not None
     np.testing.assert_allclose(there.poses, transform_poses(origin, np.array(here.poses)))
     np.testing.assert_array_equal(here[2].ranges, there[2].ranges)
     assert here[0].range_max == 30

@@ -132,7 +132,6 @@ def test_update_is_follow(core: Localizer, log: ScanSet) -> None:
     features = imgloc.prepare(imgloc.load_map(MAPS / "visibility.yaml"))
     filter_ = imgloc.make_filter("tracker", features, Options())
     alone = [moment_row(m) for m in imgloc.follow(features, log, filter_)]
-    assert log.odom is not None
     core.reset("visibility")
     for _ in range(2):  # also after a reset
         live = [core.update(s, o) for s, o in zip(log.scans, log.odom, strict=True)]
@@ -472,15 +471,12 @@ def test_a_reset_drops_what_is_looked_at_and_waits_for_nothing(log, monkeypatch)
 
 
 def test_a_robot_that_is_told_where_it_is_is_there(log: ScanSet) -> None:
-    assert log.poses is not None
-    assert log.odom is not None
     with Localizer(imgloc.load_map(MAPS / "visibility.yaml")) as core:
         core.update(log[5], np.zeros(3))
         core.start_at(Pose2D(*log.poses[0]))
         told = [core.update(s, o).value for s, o in zip(log.scans, log.odom, strict=True)]
         assert told[0].index == 0
         assert told[3].belief.verdict == "unique"
-        assert told[3].pose is not None
         assert np.hypot(told[3].pose.x - log.poses[3, 0], told[3].pose.y - 7.0) < 0.2
         with pytest.raises(ConfigError, match="is outside of the map"):
             core.start_at(Pose2D(900, 0, 0))
@@ -488,7 +484,6 @@ def test_a_robot_that_is_told_where_it_is_is_there(log: ScanSet) -> None:
 
 
 def test_robots_do_not_know_of_each_other(log: ScanSet) -> None:
-    assert log.odom is not None
     strict = Tracking(limits=Limits(0.001, 0.0001))
     with Localizer(imgloc.load_map(MAPS / "visibility.yaml")) as core:
         one, other = core.robot(), core.robot(tracking=strict)
@@ -496,7 +491,6 @@ def test_robots_do_not_know_of_each_other(log: ScanSet) -> None:
         for scan, odom in zip(log.scans, log.odom, strict=True):
             a, b = one.update_soon(scan, odom), other.update_soon(scan, odom)
             last = a.result(30), b.result(30)
-        assert last is not None
         assert last[0].value.belief.verdict == "unique"
         assert last[1].value.withheld == "wide"
         assert last[1].value.best == last[0].value.best

@@ -258,7 +258,6 @@ def test_a_burst_beyond_all_descriptors_says_nothing_and_ends() -> None:
         ["bash", "-c", 'ulimit -n 64; exec "$@"', "bash", *command(["serve", "--port", 0, CURVED])],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
-        assert process.stdout is not None
         one = Served(process.stdout.readline().strip(), process)
         with contextlib.ExitStack() as stack:
             for _ in range(200):
@@ -333,7 +332,6 @@ def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says() -> 
         command(["serve", "--port", "0", CURVED]), stdout=subprocess.PIPE, stderr=write, text=True
     )
     try:
-        assert process.stdout is not None
         one = Served(process.stdout.readline().strip(), process)
         host = f"Host: 127.0.0.1:{one.port}\r\n"
         beam = f"scans={sent_scans(one, json.dumps(SCAN).encode())}&method=beam"

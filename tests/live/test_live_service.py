@@ -422,7 +422,6 @@ def test_marked_scans_come_back_with_their_poses(http, scans, tmp_path):
     assert answer.status_code == 200, answer.text
     (tmp_path / "marked.npz").write_bytes(answer.content)
     marked, whole = imgloc.load_scans(tmp_path / "marked.npz"), imgloc.load_scans(scans)
-    assert marked.poses is not None
     assert marked.poses.tolist() == [[1.5, -2.0, 0.25], [3.0, 4.0, -3.0]]
     for one, k in zip(marked.scans, (2, 0), strict=True):
         np.testing.assert_array_equal(one.ranges, whole[k].ranges)
@@ -623,7 +622,6 @@ def test_others_reach_it_by_a_token_alone(scans: Path) -> None:
     token = "a-token-of-some-length"
     with served(MAP, "--host", "0.0.0.0", IMGLOC_TOKEN=token) as one:
         assert one.address == f"http://0.0.0.0:{one.port}"
-        assert one.process.stderr is not None
         said = one.process.stderr.readline()
         there = f"http://{socket.gethostname()}:{one.port}/#token=TOKEN"
         assert there in said
