@@ -111,6 +111,12 @@ def answered(page: Any, index: int = 0) -> str:
     return str(live.inner_text())
 
 
+def located(page: Any, path: Path) -> str:
+    """Drop a log on the page; what a screen reader says once its first scan has been answered."""
+    drop(page, (path.name, path.read_bytes()))
+    return answered(page)
+
+
 def shown_pose(page: Any) -> tuple[float, float, float]:
     """x and y in metres and the heading in degrees at which the scan is drawn."""
     words = page.locator("#pose-where").inner_text().replace("−", "-")
@@ -153,8 +159,7 @@ def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(page,
         page, *((f"curved.{end}", (MAPS / f"curved.{end}").read_bytes()) for end in ("yaml", "png"))
     )
     sync.expect(page.locator("#map option:checked")).to_have_text("curved")
-    drop(page, (scans.name, scans.read_bytes()))
-    said = answered(page)
+    said = located(page, scans)
     row = rows(call("localize", MAPS / "curved.yaml", scans, "--scans-index", 0, "--json").out)[0]
     assert f"Scan 0: {row['verdict']}." in said
     listed = page.locator("#hypotheses li")
@@ -226,8 +231,7 @@ def test_an_image_alone_is_asked_for_its_resolution(page: Any) -> None:
 
 
 def test_the_scan_is_dragged_turned_and_settled(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     best, score = shown_pose(page), page.locator("#pose-score")
     x0, y0, heading = sensor_at(page, 400, 300)
     x1, y1, _ = sensor_at(page, 500, 400)
@@ -260,8 +264,7 @@ def test_the_scan_is_dragged_turned_and_settled(page: Any, log: Path) -> None:
 
 
 def test_a_reading_under_the_pointer_says_why(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     page.keyboard.press(".")
     tip = page.locator("#tip")
     sync.expect(tip).to_contain_text(re.compile(r"Reading 0: \d+\.\d\d m at −180\.0°"))
@@ -278,8 +281,7 @@ def test_a_reading_under_the_pointer_says_why(page: Any, log: Path) -> None:
 
 
 def test_what_is_known_changes_the_answer(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    first = answered(page)
+    first = located(page, log)
     best = shown_pose(page)
     sensor_at(page, 300, 300)
     x0, y0, _ = shown_pose(page)
@@ -317,8 +319,7 @@ def test_what_is_known_changes_the_answer(page: Any, log: Path) -> None:
 
 
 def test_what_is_refused_is_not_known_and_leaves_no_answer(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    first = answered(page)
+    first = located(page, log)
     room, words = page.get_by_label("Free space around the sensor"), page.locator("#known-words")
     room.fill("0.3")
     room.press("Enter")
@@ -342,8 +343,7 @@ def test_what_is_refused_is_not_known_and_leaves_no_answer(page: Any, log: Path)
 
 
 def test_a_slider_goes_along_the_log_and_the_tracker_follows_it(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     slider = page.get_by_label("Scan", exact=True)
     slider.focus()
     page.keyboard.press("End")
@@ -414,8 +414,7 @@ STACKS = ["cbml", "cbml-o", "ght", "ght-v", "beam"]
 
 
 def test_layers(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     sync.expect(page.locator("#note")).to_be_hidden()
     shown, chosen = pixels(page), page.get_by_label("Layer on the map")
     for layer in (*STACKS, "bmap", "vmap", "distance", "visibility", "atlas"):
@@ -438,8 +437,7 @@ def test_layers(page: Any, log: Path) -> None:
 
 
 def test_the_copied_command_and_python_give_the_same_answer(page, log, monkeypatch):
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     page.keyboard.press("k")  # what is known: about here
     answered(page)
     page.get_by_label("Free space around the sensor").fill("0.2")
@@ -467,8 +465,7 @@ def test_the_copied_command_and_python_give_the_same_answer(page, log, monkeypat
 def test_a_region_is_copied_and_what_was_copied_is_shown_until_it_changes(
     page: Any, log: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     page.get_by_role("button", name="Region").click()
     for corner in ((200, 300), (700, 300), (700, 650), (200, 650), (202, 303)):
         page.locator("#canvas").click(position={"x": corner[0], "y": corner[1]})
@@ -531,8 +528,7 @@ SIZES = [
 
 @pytest.mark.parametrize("page", SIZES, indirect=True)
 def test_it_fits_on_telephones_and_desks_by_day_and_by_night(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     width = page.viewport_size["width"]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     for button in page.get_by_role("button").all():
@@ -579,8 +575,7 @@ def test_no_wall_lies_under_a_button_until_the_map_is_moved(page: Any, log: Path
         raise AssertionError((lowest, top, bottom, height, most))
 
     height = within()
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     width = page.viewport_size["width"]
     within(height - (width > 832))  # the log takes room
     page.set_viewport_size({"width": width, "height": 700})
@@ -602,8 +597,7 @@ def test_far_poses_are_written_whole(browser: Any, service: str, log: Path, widt
             page.locator(f"#{field}").fill(str(value))
         page.get_by_role("button", name="Use it").click()
         sync.expect(page.locator("#map option:checked")).to_have_text("far")
-        drop(page, (log.name, log.read_bytes()))
-        answered(page)
+        located(page, log)
         sync.expect(page.locator("#pose-where")).to_contain_text("−1230.")
         rows = page.locator("#hypotheses .where")
         assert rows.count() > 1
@@ -635,8 +629,7 @@ def touched(page: Any, *moves: tuple[tuple[float, float], ...]) -> None:
 
 @pytest.mark.parametrize("page", SIZES[:1], indirect=True)
 def test_a_finger_drags_the_scan_and_two_enlarge_the_map(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     x0, _, heading = sensor_at(page, 100, 200)
     x1, y1, _ = sensor_at(page, 200, 200)
     touched(page, ((200, 200),), ((230, 210),), ((250, 240),))
@@ -757,8 +750,7 @@ def test_one_of_several_lasers_is_named_on_the_page(page: Any, log: Path, tmp_pa
 def test_how_scans_were_taken_is_said_on_the_page_and_hinted_at(page: Any, log: Path) -> None:
     path = log.with_name("turned mm.npz")
     made(log, path)
-    drop(page, (path.name, path.read_bytes()))
-    assert "No pose on this map fits this scan." in answered(page)
+    assert "No pose on this map fits this scan." in located(page, path)
     sync.expect(page.locator("#pose-title")).to_contain_text("No pose was found")
     hint = page.locator("#hints")
     sync.expect(hint).to_contain_text("millimetres? Set “1 in the file is” to 0.001 m")
@@ -773,8 +765,7 @@ def test_how_scans_were_taken_is_said_on_the_page_and_hinted_at(page: Any, log: 
 
 
 def test_a_region_is_drawn_by_keys_alone(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    first = answered(page)
+    first = located(page, log)
     page.locator("#canvas").focus()
     for key in ("r", "Shift+ArrowLeft", "Enter", *["Shift+ArrowRight"] * 2, "Shift+ArrowDown"):
         page.keyboard.press(key)
@@ -792,8 +783,7 @@ def test_a_region_is_drawn_by_keys_alone(page: Any, log: Path) -> None:
 
 
 def test_a_layer_that_takes_long_is_stopped_and_holds_nothing_up(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     asked = list[str]()
     # Nobody answers this one: as if it took for ever.
     page.route("**/likelihood?*method=beam*", lambda route: asked.append(route.request.url))
@@ -846,8 +836,7 @@ def test_the_page_sends_the_token_of_its_address(browser: Any, log: Path) -> Non
     with served(MAPS / "visibility.yaml", "--token", secret) as one:
         address = one.address if "#" in one.address else f"{one.address}/#token={secret}"
         with opened(browser, address) as page:
-            drop(page, (log.name, log.read_bytes()))
-            assert "Scan 0: unique." in answered(page)
+            assert "Scan 0: unique." in located(page, log)
             page.get_by_role("button", name="Follow").click()
             sync.expect(page.locator("#tracked")).to_contain_text("Tracker: ")
             sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
@@ -904,8 +893,7 @@ def test_the_page_waits_for_maps_that_are_being_prepared(browser: Any) -> None:
 
 
 def test_scans_that_the_service_has_dropped_are_sent_again(page: Any, log: Path) -> None:
-    drop(page, (log.name, log.read_bytes()))
-    answered(page)
+    located(page, log)
     # The service holds a few files only: others push this one out.
     page.evaluate("""async () => {
         for (let k = 0; k < 9; k += 1) {
