@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from places import POSES, answer_of, error, features_of, room_with_a_post, scan_of
+from places import POSES, answer_of, error, features_of, hall, room_with_a_post, scan_of
 
 from imgloc.answers.explain import KINDS, RayFit, explain, explain_rays, faced
 from imgloc.features.raycast import cast_rays
@@ -200,8 +200,7 @@ def test_the_check_that_fails_is_the_last_one(room) -> None:
     assert [c.name for c in answer.evidence.checks] == ["readings", "elsewhere"]
     assert [c.holds for c in answer.evidence.checks] == [True, False]
     assert answer.evidence.checks[1].value == answer.elsewhere
-    square = np.pad(np.zeros((30, 30), bool), 2, constant_values=True)
-    twins = prepare(OccupancyGrid(square, ~square, 0.1))
+    twins = prepare(hall(30, 30))
     scan = seen_from(twins, (1.0, 1.3, 0.2))
     answer = localize(twins, scan)
     assert answer.verdict == "ambiguous"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command import MAPS, call, rows
-from places import room_with_a_post
+from places import hall, room_with_a_post
 
 from imgloc.choice import choose as choosing
 from imgloc.choice import folder_index
@@ -182,8 +182,7 @@ def site(tmp_path: Path) -> Path:
     grid = room_with_a_post()
     save_map(floors / "post.yaml", grid)
     save_map(floors / "turned.yaml", turned(grid, (3.0, 2.0), np.array([7, 6]), 0.5, mirrored=True))
-    walls = np.pad(np.zeros((50, 70), bool), 2, constant_values=True)
-    save_map(floors / "hall.yaml", OccupancyGrid(walls, ~walls, 0.1))
+    save_map(floors / "hall.yaml", hall(50, 70))
     save_scans(tmp_path / "s.npz", simulate(grid, 2, 1, Sensor(rays=90, fov=6.0, range_max=9.0)))
     old = 1_700_000_000
     for path in floors.iterdir():

@@ -45,7 +45,6 @@ def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic", "matplotlib",
              "imgloc.pipeline", "imgloc.plans", "imgloc.lab.evaluation")  # fmt: skip
     code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli.app import main\n"
         "for words in (['--help'], ['localize', '--help'], ['evaluate', '-h'],\n"
         "              ['map', 'show', '-h'], ['--version']):\n"
@@ -53,24 +52,21 @@ def test_help_imports_nothing_heavy() -> None:
         "    except SystemExit as e: assert not e.code, words\n"
         f"sys.exit(str([m for m in {heavy} if m in sys.modules] or ''))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-    assert done.stderr.decode().strip() == ""
+    assert spawn(code=code).err.strip() == ""
 
 
 def test_a_prepared_map_waits_for_no_library_that_it_does_not_use(scans, tmp_path):
     aside = ("skimage.util", "skimage.morphology", "scipy", "pydantic", "rich", "imgloc.filters")
     code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli.app import main\n"
         "try: main(sys.argv[1:])\n"
         "except SystemExit as e: assert not e.code\n"
         f"print([m for m in {aside} if m in sys.modules], file=sys.stderr)"
     )
     words = ["localize", MAPS / "curved.yaml", scans, "--scans-index", "0", "--json"]
-    line = [sys.executable, "-c", code, *words, "--cache", tmp_path]
     for _ in range(2):
-        done = subprocess.run(line, capture_output=True, check=True)
-    assert done.stderr.decode().strip() == "[]"
+        run = spawn(*words, "--cache", tmp_path, code=code).ends(0)
+    assert run.err.strip() == "[]"
 
 
 def options_of(command: Any) -> set[str]:
@@ -122,12 +118,12 @@ def test_the_library_speaks_of_arguments_and_the_command_line_of_options() -> No
 
 def test_import_imgloc_is_cheap_and_offers_every_public_name() -> None:
     code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); import imgloc\n"
+        "import imgloc\n"
         "assert 'numpy' not in sys.modules and 'load_map' in dir(imgloc)\n"
         "from imgloc import *\n"
         "assert load_map.__name__ == 'load_map' and 'fused' in ALL_METHODS"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    spawn(code=code).ends(0)
     for name in imgloc.__all__:
         assert getattr(imgloc, name) is not None
 

@@ -13,36 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import MAPS, Run, call, command, fed, rows
+from places import drive, lines_of
 
 from imgloc.cli.tracking import live_of
-from imgloc.filters.motion import noisy_odometry
 from imgloc.options import Logs
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 
 N_RAYS = 120
-MAP, ANGLES, N = MAPS / "visibility.yaml", np.deg2rad(np.arange(-180, 180, 3.0)), 8
+MAP, N = MAPS / "visibility.yaml", 8
 
 
 @pytest.fixture(scope="module")
 def lines() -> list[str]:
-    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(N)])
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
-    return [
-        json.dumps(
-            {
-                "ranges": [round(float(r), 4) for r in ranges],
-                "angles": ANGLES.tolist(),
-                "range_max": 30.0,
-                "stamp": 100.0 + k,
-                "odom": o.tolist(),
-                "pose": pose.tolist(),
-            }
-        )
-        + "\n"
-        for k, (ranges, o, pose) in enumerate(zip(seen, odom, poses, strict=True))
-    ]
+    return lines_of(drive(np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(N)])))
 
 
 def started(*words: object) -> subprocess.Popen[str]:

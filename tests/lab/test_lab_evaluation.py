@@ -4,6 +4,7 @@ import gc
 
 import numpy as np
 import pytest
+from places import room_with_two_posts as room
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, pose_errors, theta_bin, transform_poses
@@ -31,13 +32,6 @@ from imgloc.simulation.scans import (
     simulate_ranges,
 )
 from imgloc.simulation.worlds import WORLDS, render
-
-
-def room(origin: Pose2D | None = None) -> OccupancyGrid:
-    walls = np.ones((40, 50), bool)
-    walls[2:38, 2:48] = False
-    walls[10:14, 12:20] = walls[25:33, 30:33] = True
-    return OccupancyGrid(walls, ~walls, 0.1, origin or Pose2D(0, 0, 0))
 
 
 def trials(method: str, grid: OccupancyGrid, scans: ScanSet) -> list[Trial]:

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command import MAPS
+from places import drive, hall
 
 import imgloc
 from imgloc import (
@@ -33,18 +34,15 @@ from imgloc import (
     Tracking,
 )
 from imgloc.errors import ConfigError, MapError, ScanError
-from imgloc.filters.motion import noisy_odometry
 from imgloc.io.calibration import calibration_path, load_calibrations, save_calibrations
 from imgloc.live.line import Key, Line
 from imgloc.model import to_json
 from imgloc.options import Calibration, Shared
 from imgloc.output.rows import answer_row, moment_row
 from imgloc.search.priors import prior_of
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 
 NAMES = ("curved", "corridor", "visibility")
-ANGLES, N = np.deg2rad(np.arange(-180, 180, 3.0)), 10
+N = 10
 
 
 @pytest.fixture(scope="module")
@@ -66,16 +64,11 @@ def core() -> Iterator[Localizer]:
 def log() -> ScanSet:
     """Ten scans along a corridor of `visibility`, half a metre apart, with odometry."""
     poses = np.array([[4.0 + 0.5 * k, 7.0, 0.02 * k] for k in range(N)])
-    ranges = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
-    made = [LaserScan(r, ANGLES, 0.0, 30.0, stamp=100.0 + k) for k, r in enumerate(ranges)]
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    return ScanSet(tuple(made), poses, 100.0 + np.arange(N), odom)
+    return drive(poses)
 
 
 def room() -> OccupancyGrid:
-    wall = np.pad(np.zeros((40, 60), bool), 2, constant_values=True)
-    wall[2:20, 30:34] = True
-    return OccupancyGrid(wall, ~wall, 0.1)
+    return hall(40, 60, np.s_[2:20, 30:34])
 
 
 def whole(row: dict[str, object]) -> str:

@@ -23,20 +23,17 @@ import httpx
 import numpy as np
 import pytest
 from badfiles import YAML, png, room
-from command import MAPS, call, rows, simulating, untimed
+from command import MAPS, call, rows, simulating, spawn, untimed
+from places import drive, lines_of
 from serving import Served, memory, served, waits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import imgloc
-from imgloc.filters.motion import noisy_odometry
 from imgloc.lab.atlas import survey_part
 from imgloc.live.server import bound
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 
 MAP = MAPS / "visibility.yaml"
-ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 STILL = {"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07, "range_max": 30.0,
          "odom": [0, 0, 0]}  # fmt: skip
 LINE = json.dumps(STILL)
@@ -118,15 +115,8 @@ def test_which_is_what_which_prints(http: httpx.Client, scans: Path, tmp_path: P
 
 
 def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> None:
-    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(6)])
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
-    lines = [
-        json.dumps({"ranges": [round(float(r), 4) for r in ranges], "angles": ANGLES.tolist(),
-                    "range_max": 30.0, "stamp": 100.0 + k, "odom": o.tolist()})
-        for k, (ranges, o) in enumerate(zip(seen, odom, strict=True))
-    ]  # fmt: skip
-    (tmp_path / "log.jsonl").write_text("\n".join(lines))
+    lines = lines_of(drive(np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(6)])))
+    (tmp_path / "log.jsonl").write_text("".join(lines))
     here = call("track", MAP, tmp_path / "log.jsonl", "--json")
     address = f"{service.track}?map=visibility&places=true"
     with connect(address) as socket:
@@ -267,9 +257,9 @@ def test_what_the_parser_of_forms_logs_is_not_printed() -> None:
         "try: parts_of(b'--y', 'multipart/form-data; boundary=x')\n"
         "except Exception as e: print(e)"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "is no form" in run.stdout
-    assert run.stderr == ""
+    run = spawn(code=code).ends(0)
+    assert "is no form" in run.out
+    assert run.err == ""
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "../../../etc/passwd", "C:\\\\boot.ini"])
