@@ -6,12 +6,9 @@ from functools import cache
 
 import numpy as np
 
+from imgloc import LaserScan, OccupancyGrid, Options, Pose2D, ScanSet, localize, prepare
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import wrap
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import Options
-from imgloc.pipeline import localize, prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

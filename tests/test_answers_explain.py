@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import POSES, answer_of, error, features_of, hall, room_with_a_post, scan_of
 
-from imgloc.answers.explain import KINDS, RayFit, explain, explain_rays, faced
+from imgloc import LaserScan, OccupancyGrid, OrientedPoints, Pose2D, explain, localize, prepare
+from imgloc.answers.explain import KINDS, RayFit, explain_rays, faced
 from imgloc.features.raycast import cast_rays
-from imgloc.model import LaserScan, OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.options import ALL_METHODS, Options, Prior
-from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import near
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))

@@ -10,10 +10,8 @@ import pytest
 from command import MAPS, call
 
 import imgloc
+from imgloc import Sensor, save_scans, simulate
 from imgloc.io.calibration import calibration_path, save_calibrations
-from imgloc.io.scans import save_scans
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 MENDS = "Make that file anew with imgloc calibrate MAP --scans FILE --force, or move it away"

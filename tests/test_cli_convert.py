@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from command import call
 
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D
+from imgloc import LaserScan, Pose2D, ScanSet, load_scans, save_scans
 
 N, ANGLES = 5, np.linspace(-1.5, 1.5, 31)
 

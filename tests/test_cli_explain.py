@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from command import MAPS, call, simulating
 
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
+from imgloc import LaserScan, ScanSet, save_scans
 
 CURVED = MAPS / "curved.yaml"
 

@@ -12,10 +12,7 @@ import pytest
 from command import MAPS, call, rows, simulating, spawn
 from places import room_with_a_post
 
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
+from imgloc import Sensor, save_map, save_scans, simulate
 
 OFF = "--no-cache"
 

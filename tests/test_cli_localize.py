@@ -7,12 +7,9 @@ import pytest
 from command import MAPS, call, rows, simulating, spawn, untimed
 
 import imgloc
+from imgloc import ALL_METHODS, ScanSet, load_map, load_scans, save_map, save_scans
 from imgloc.geometry import transform_poses
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
-from imgloc.options import ALL_METHODS
 
 CURVED = MAPS / "curved.yaml"
 KEYS = [

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from command import MAPS, Run, call, rows
 
+from imgloc import ScanSet, Sensor, load_scans, save_scans, simulate
 from imgloc.io.images import encode_png, read_image
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 OFF = "--no-cache"

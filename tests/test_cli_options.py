@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows, simulating, untimed
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, load_scans
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
-from imgloc.io.scans import load_scans
 from imgloc.texts import byte_count
 
 WORLD = MAPS / "visibility.yaml"  # 140 x 200 cells of 0.1 m

@@ -15,13 +15,9 @@ import pytest
 from command import call, command, untimed
 from places import room_with_a_post
 
+from imgloc import ScanSet, Sensor, save_map, save_scans, simulate
 from imgloc.io import contents
-from imgloc.io.maps import save_map
 from imgloc.io.mapyaml import image_named
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 

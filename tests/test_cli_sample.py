@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from command import MAPS, call, simulating
 
+from imgloc import ScanSet, load_map, load_scans, save_map, save_scans
 from imgloc.geometry import wrap
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 
 CURVED = MAPS / "curved.yaml"

@@ -12,13 +12,8 @@ import pytest
 from command import MAPS, call, rows
 from places import drive
 
-from imgloc.errors import ConfigError
-from imgloc.filters.choose import make_filter
-from imgloc.filters.follow import follow
+from imgloc import ConfigError, Options, follow, load_map, load_scans, make_filter, save_scans
 from imgloc.io.cache import cache_limit
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.options import Options
 from imgloc.pipeline import prepare
 
 MAP, N = MAPS / "visibility.yaml", 6

@@ -13,15 +13,12 @@ import pytest
 from command import MAPS, call, rows
 from places import drive
 
+from imgloc import LaserScan, ScanSet, Shared, load_map, load_scans, save_scans
 from imgloc.filters.choose import FILTERS
 from imgloc.filters.motion import noisy_odometry
 from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.images import read_image
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan
-from imgloc.options import Shared
+from imgloc.model import FloatArray
 from imgloc.output.tracks import COLOURS, SCAN
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render

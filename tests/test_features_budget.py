@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ALL_METHODS, METHODS, ConfigError, LaserScan, MapFeatures, OccupancyGrid, Options
 from imgloc.features.budget import (
     MIB,
     available_bytes,
@@ -16,9 +16,6 @@ from imgloc.features.budget import (
     stack_bytes,
     surface_count,
 )
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import ALL_METHODS, METHODS, Options
 from imgloc.pipeline import localize
 from imgloc.search.asked import answer_bytes
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import MapFeatures, OccupancyGrid, Pose2D
 from imgloc.features.store import (
     KEPT,
     features_from_arrays,
@@ -17,7 +17,6 @@ from imgloc.features.store import (
     save_features,
 )
 from imgloc.io.cache import entry_path, store_entry
-from imgloc.model import OccupancyGrid, Pose2D
 
 PARAMETERS = {"n_psi": 24, "horizon": 5.0, "max_range": 5.0}
 

@@ -10,13 +10,11 @@ import pytest
 from command import MAPS, call, rows
 from places import POSES, error, features_of
 
-from imgloc.filters.choose import make_filter
+from imgloc import Every, LaserScan, Options, Pose2D, ScanSet, follow, make_filter
 from imgloc.filters.evidence import NO_PLACES, search, sight, view_of
-from imgloc.filters.follow import follow, robot_poses
+from imgloc.filters.follow import robot_poses
 from imgloc.filters.motion import compose_poses, noisy_odometry
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D, compose
-from imgloc.options import Every, Options
+from imgloc.model import compose
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imgloc import LaserScan, Pose2D, ScanOdometry, load_scans
 from imgloc.filters.motion import compose_poses, increments, invert_poses
-from imgloc.filters.scanodometry import Motion, ScanOdometry
+from imgloc.filters.scanodometry import Motion
 from imgloc.geometry import wrap
-from imgloc.io.scans import load_scans
-from imgloc.model import LaserScan, Pose2D
 
 ANGLES = np.deg2rad(np.linspace(-135, 135, 361))
 # Corners of a room with a niche, and of one elsewhere; walls of a corridor.

@@ -8,22 +8,17 @@ import numpy as np
 import pytest
 from places import ANGLES, POSES, drive, features_of
 
-from imgloc.answers.sample import sample_poses
+from imgloc import ScanSet, follow, load_map, load_scans, make_filter, prepare, sample_poses
 from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of, deviations_of
-from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import GATE, NO_PLACES, Places, Sight, settled, view_of
-from imgloc.filters.follow import Follower, follow
+from imgloc.filters.follow import Follower
 from imgloc.filters.motion import compose_poses
 from imgloc.filters.tracker import Tracker, TrackerOptions, _Search
 from imgloc.geometry import transform_poses, wrap
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Every, Options, Shared
-from imgloc.pipeline import prepare
 from imgloc.robot.lasers import Laser
 from imgloc.search.adapt import Told
 from imgloc.simulation.scans import simulate_ranges

@@ -7,9 +7,8 @@ import pytest
 from command import MAPS, call
 
 import imgloc
-from imgloc import ScanSet
+from imgloc import Pose2D, ScanSet
 from imgloc.filters.watch import AGREES, CANNOT, DISAGREES, Watch
-from imgloc.model import Pose2D
 from tools.robot.play import START, to_and_fro
 
 OFF = Pose2D(START.x + 3.0, START.y, START.theta)

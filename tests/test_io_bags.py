@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.errors import ScanError
+from imgloc import Pose2D, ScanError, grid_to_msg, load_map, load_scans
 from imgloc.io.bags import read_bag_map
-from imgloc.io.maps import load_map
-from imgloc.io.messages import grid_to_msg
-from imgloc.io.scans import load_scans, scans_size
-from imgloc.model import Pose2D
+from imgloc.io.scans import scans_size
 
 rosbags = pytest.importorskip("rosbags", reason="reads bags: the extra ros")
 

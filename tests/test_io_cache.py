@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import imgloc
-from imgloc.errors import ConfigError, OutputError
+from imgloc import ConfigError, OccupancyGrid, OutputError, Pose2D
 from imgloc.io.cache import (
     cache_folder,
     cache_info,
@@ -25,7 +25,6 @@ from imgloc.io.cache import (
     load_entry,
     store_entry,
 )
-from imgloc.model import OccupancyGrid, Pose2D
 
 KEY = "0123456789abcdef0123456789abcdef01234567"
 ARRAYS = {

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.errors import OutputError
+from imgloc import Calibration, OccupancyGrid, Options, OutputError, Pose2D, Shared
 from imgloc.io.calibration import (
     calibrated,
     calibration_path,
@@ -15,8 +15,6 @@ from imgloc.io.calibration import (
     map_hash,
     save_calibrations,
 )
-from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.options import Calibration, Options, Shared
 
 WALL = np.eye(4, dtype=bool)
 GRID = OccupancyGrid(WALL, ~WALL, 0.1)

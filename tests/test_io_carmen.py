@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.errors import ScanError
+from imgloc import Odometry, Pose2D, ScanError, load_scans
 from imgloc.io.carmen import read_carmen
-from imgloc.io.scans import load_scans, scans_size
-from imgloc.model import Pose2D, compose
-from imgloc.robot.odometry import Odometry
+from imgloc.io.scans import scans_size
+from imgloc.model import compose
 
 RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(181))
 FLASER = f"FLASER 181 {RANGES} 1.2 2 0.5 1 2 0.5 1211.5 host 3.5"

@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.errors import ScanError
-from imgloc.io.scans import load_scans
-from imgloc.io.scanset import ScanSet
+from imgloc import ScanError, ScanSet, load_scans
 
 N, RAYS = 6, 36
 ANGLES = np.linspace(-np.pi / 2, np.pi / 2, RAYS)

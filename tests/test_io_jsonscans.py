@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from command import call
 
-from imgloc.errors import ScanError
+from imgloc import Pose2D, ScanError, load_scans
 from imgloc.io.messages import pose_fields
-from imgloc.io.scans import load_scans
-from imgloc.model import Pose2D
 
 N, RANGES = 4, [1.5, 2.5, 3.5]
 ANGLES = [-0.5, 0.0, 0.5]

@@ -12,10 +12,9 @@ from badfiles import npz
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imgloc.errors import ConfigError, OutputError, ScanError
-from imgloc.io.scans import SCAN_ENDINGS, load_scans, read_npz, save_scans, write_npz
+from imgloc import ConfigError, LaserScan, OutputError, Pose2D, ScanError, load_scans, save_scans
+from imgloc.io.scans import SCAN_ENDINGS, read_npz, write_npz
 from imgloc.io.scanset import ScanSet, collect
-from imgloc.model import LaserScan, Pose2D
 
 ANGLES = np.linspace(-1.5, 1.5, 4)
 RANGES = np.array([[1.0, np.nan, np.inf, 3.0], [0.01, -np.inf, 81.9, 2.5]])

@@ -10,17 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ANGLES, answer_of, error, features_of, grid_of, hall, room_with_a_post, scan_of
 
-from imgloc.errors import ConfigError, MapError
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import ConfigError, MapError, MapFeatures, likelihood, load_map, load_scans, simulate
 from imgloc.geometry import in_map_frame, rotate_covariance, wrap
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse, to_json
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import localize, localize_many, prepare
 from imgloc.search.modes import lead
-from imgloc.simulation.scans import simulate, simulate_ranges
+from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")

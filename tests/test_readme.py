@@ -15,12 +15,8 @@ import typer
 from command import ROOT, call, params_of, tree
 from places import room_with_a_post
 
+from imgloc import Pose2D, Sensor, load_scans, save_map, save_scans, simulate
 from imgloc.cli import app
-from imgloc.io.maps import save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.model import Pose2D
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 
 README = (ROOT / "README.md").read_text("utf-8")
 PAGES = {"README.md": README}

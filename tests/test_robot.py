@@ -6,13 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imgloc.errors import ScanError
+from imgloc import Frames, LaserScan, Odometry, Pose2D, Recording, ScanError
 from imgloc.io.messages import planar
-from imgloc.model import LaserScan, Pose2D
-from imgloc.robot.frames import GAP, Frames
+from imgloc.robot.frames import GAP
 from imgloc.robot.lasers import Lasers
-from imgloc.robot.odometry import Odometry
-from imgloc.robot.recording import Recording, Source, mounted, pick_odometry
+from imgloc.robot.recording import Source, mounted, pick_odometry
 from imgloc.robot.stamps import AHEAD, ANEW, FINE, OLD, Stamps
 
 

@@ -9,16 +9,11 @@ import numpy as np
 import pytest
 from command import MAPS
 
+from imgloc import BatchSummary, Evidence, Options, ScanSet, Sensor, prepare, run_batch, save_scans
 from imgloc.answers.diagnose import doubts
 from imgloc.errors import as_options
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import Evidence
-from imgloc.options import Options, Sensor
 from imgloc.output.report import render_report
 from imgloc.output.tables import batch_text
-from imgloc.pipeline import prepare
-from imgloc.runs.batch import BatchSummary, run_batch
 from imgloc.runs.hints import Doubtful
 from imgloc.runs.jobs import Item
 from imgloc.runs.results import read_rows

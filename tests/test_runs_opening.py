@@ -8,13 +8,9 @@ import pytest
 from command import call
 from test_features_budget import office, peak
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, Options, Pose2D, Sensor, prepare, simulate
 from imgloc.features.budget import PROCESS
-from imgloc.model import Pose2D
-from imgloc.options import Options, Sensor
-from imgloc.pipeline import prepare
 from imgloc.runs.opening import Desk, ScanFiles
-from imgloc.simulation.scans import simulate
 
 
 def least(check: Callable[[Desk], None]) -> int:

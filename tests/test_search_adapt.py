@@ -8,15 +8,10 @@ import numpy as np
 import pytest
 from walls import bent, redrawn
 
-from imgloc import pipeline
-from imgloc.answers.explain import explain
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import LaserScan, MapFeatures, OccupancyGrid, draw, explain, localize, pipeline
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Drawn, FusedOptions, Options, Sensor, Shared
-from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
-from imgloc.pipeline import localize
 from imgloc.search.adapt import BENT, Told, adapt, drawn_gain, drawn_walls, judged, told_by
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import score_readings

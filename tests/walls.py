@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 from places import drive
 
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.model import BoolArray, OccupancyGrid
+from imgloc import OccupancyGrid, save_map, save_scans
+from imgloc.model import BoolArray
 from imgloc.simulation.worlds import WORLDS, render
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))

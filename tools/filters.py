@@ -19,20 +19,16 @@ from typing import Any
 import numpy as np
 
 import imgloc
-from imgloc.errors import ConfigError
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
-from imgloc.filters.choose import make_filter
+from imgloc import ConfigError, Every, Filter, MapFeatures, Options, ScanSet, follow, make_filter
+from imgloc.filters.belief import LOST, UNIQUE, deviations_of
 from imgloc.filters.evidence import Places, search
-from imgloc.filters.follow import follow, robot_poses
+from imgloc.filters.follow import robot_poses
 from imgloc.filters.motion import compose_poses, increments
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
-from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import share
 from imgloc.live.policy import LastPose
 from imgloc.live.settings import Settings
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
-from imgloc.options import Every, Options
 from tools.recorded import RIGHT
 from tools.script import parser_of
 from tools.trust.precision import REGION, TRUTH, difference, squared

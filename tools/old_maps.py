@@ -28,12 +28,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc import Options, ScanSet, load_map, load_scans, make_filter
+from imgloc import Options, Pose2D, ScanSet, load_map, load_scans, make_filter, prepare
 from imgloc.filters.follow import robot_poses
 from imgloc.lab.calibrate import fit_along
-from imgloc.model import Pose2D
 from imgloc.options import Chosen, Every, Shared
-from imgloc.pipeline import prepare
 from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.plans.measure import Row, judge
 from tools.recorded import logs_of

@@ -17,9 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc import LaserScan, MapFeatures, Options, Pose2D, localize, prepare
+from imgloc import LaserScan, MapFeatures, Moment, Options, Pose2D, Tracking, localize, prepare
 from imgloc.features.distance import distance_image
-from imgloc.filters.follow import Moment, Tracking
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import values_at
 from imgloc.live.policy import alone

@@ -12,11 +12,8 @@ import numpy as np
 import pytest
 from command import MAPS, call, command, rows, simulating
 
+from imgloc import OccupancyGrid, Pose2D, ScanSet, load_map, load_scans, save_map, save_scans
 from imgloc.geometry import transform_poses
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import DEFAULTS
 
 CURVED = MAPS / "curved.yaml"

@@ -9,11 +9,9 @@ import pytest
 from command import MAPS, call, fed
 from places import hall
 
-from imgloc.errors import ConfigError, MapError
+from imgloc import ConfigError, MapError, load_map, load_scans, save_map
 from imgloc.geometry import transform_poses
 from imgloc.io.files import map_name
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans
 from imgloc.lab.align import ScanAlignment, align_maps, align_scans, differences
 from imgloc.lab.aligned import (
     ONLY_A,

@@ -11,14 +11,12 @@ from budgets import check_done, check_refused, words
 from command import MAPS, call
 from test_features_budget import office, peak
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, MapFeatures, Options, Sensor
 from imgloc.features.budget import poses_bytes, simulate_bytes
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.lab.atlas import MOST, atlas_poses, simulate_at
 from imgloc.lab.calibrate import disturbed_set, sweep
-from imgloc.options import Options
 from imgloc.search.asked import answer_bytes
-from imgloc.simulation.scans import Sensor, fine_factor
+from imgloc.simulation.scans import fine_factor
 
 EVALUATE = ["evaluate", MAPS / "curved.yaml", "-n", 1, "--method", "ght-v,cbml", "--threads", 1]
 CURVED = MAPS / "curved.yaml"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from places import room_with_two_posts
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, GridInfo, Likelihood, OccupancyGrid, Pose2D, likelihood, prepare
 from imgloc.lab import calibrate
 from imgloc.lab.calibrate import (
     EXPONENTS,
@@ -23,10 +23,7 @@ from imgloc.lab.evaluation import cell_of_pose
 from imgloc.lab.performance_index import density_in_stack, performance_index
 from imgloc.lab.tables import SHARP, shared_words
 from imgloc.likelihoods.posterior import calibrated
-from imgloc.likelihoods.stacks import likelihood
-from imgloc.model import GridInfo, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import METHODS, Calibration, Options, Sensor, Shared
-from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate
 
 ROOM = room_with_two_posts(Pose2D(3.0, -2.0, 0.5))

@@ -6,31 +6,14 @@ import numpy as np
 import pytest
 from places import room_with_two_posts as room
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, ScanSet, Sensor, evaluate, likelihood, localize, prepare, simulate
 from imgloc.geometry import cell_of, pose_errors, theta_bin, transform_poses
 from imgloc.io.maps import bundled_maps, load_map
-from imgloc.io.scanset import ScanSet
-from imgloc.lab.evaluation import (
-    PAPER_STEPS_DEG,
-    Trial,
-    evaluate,
-    method_options,
-    run_trials,
-    summarise,
-)
+from imgloc.lab.evaluation import PAPER_STEPS_DEG, Trial, method_options, run_trials, summarise
 from imgloc.likelihoods.posterior import calibrated, posterior
-from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, compose
 from imgloc.options import ALL_METHODS, METHODS, Tolerance
-from imgloc.pipeline import localize, prepare
-from imgloc.simulation.scans import (
-    Sensor,
-    fine_image,
-    refine_grid,
-    sample_free_poses,
-    simulate,
-    simulate_ranges,
-)
+from imgloc.simulation.scans import fine_image, refine_grid, sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 

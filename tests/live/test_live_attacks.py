@@ -27,12 +27,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import imgloc
+from imgloc import LaserScan, Localizer, Pose2D
 from imgloc.io.textscans import read_jsonl_line
 from imgloc.live.bounds import Bounds
 from imgloc.live.connections import has_gone
-from imgloc.live.localizer import Localizer
 from imgloc.live.service import Service
-from imgloc.model import LaserScan, Pose2D
 from imgloc.output.rows import scan_row
 
 CURVED = MAPS / "curved.yaml"

@@ -13,14 +13,12 @@ import pytest
 from command import MAPS, call
 
 import imgloc
-from imgloc.errors import ConfigError
-from imgloc.live.localizer import Localizer
+from imgloc import ConfigError, Localizer, Options, Sensor, simulate
 from imgloc.live.node import LocalizerNode, load_ros, with_parameters
 from imgloc.live.settings import Settings
 from imgloc.live.status import ERROR, Found, weighed
-from imgloc.options import TOLERANCE, Hint, Options, Sensor
+from imgloc.options import TOLERANCE, Hint
 from imgloc.ranges import declared
-from imgloc.simulation.scans import simulate
 
 pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of what rclpy imports

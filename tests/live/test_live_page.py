@@ -19,11 +19,7 @@ from command import MAPS, call, rows
 from places import drive
 from serving import served
 
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.live.localizer import Localizer
-from imgloc.model import LaserScan, OccupancyGrid
+from imgloc import LaserScan, Localizer, OccupancyGrid, ScanSet, load_map, load_scans, save_scans
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

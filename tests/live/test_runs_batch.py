@@ -17,24 +17,20 @@ from batches import QUICK, in_threads, site_in, timeless
 from command import ROOT, call
 from places import room_with_a_post
 
-from imgloc import doors, numbers
+from imgloc import ScanSet, doors, load_scans, numbers, run_batch, save_map, save_scans, simulate
 from imgloc.doors import JOBS
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import wrap
-from imgloc.io.maps import save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import Known, Options, Sensor
 from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
 from imgloc.runs import results
-from imgloc.runs.batch import find_items, run_batch
+from imgloc.runs.batch import find_items
 from imgloc.runs.jobs import Item, Job, job_class, make_job
 from imgloc.runs.opening import Desk, MapFiles, Means, ScanFiles
 from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
-from imgloc.simulation.scans import simulate
 
 ASKS = re.compile(r"number\(\s*f?\"(\w+)\.")
 

@@ -17,15 +17,9 @@ from command import ROOT, call, command
 from killers import Saboteur, double
 from places import room_with_a_post
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, Options, ScanSet, Sensor, make_job, run_batch, save_map, save_scans
 from imgloc.features.budget import default_budget
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Options, Sensor
-from imgloc.runs.batch import run_batch
 from imgloc.runs.cluster import cluster
-from imgloc.runs.jobs import make_job
 from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import simulate
 

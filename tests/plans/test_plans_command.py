@@ -8,10 +8,8 @@ import pytest
 from cabin import cabin
 from command import MAPS, call, rows
 
+from imgloc import load_map, load_scans, plan_to_map, save_scans
 from imgloc.io.images import encode_png, read_image
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.plans.floorplan import plan_to_map
 from tools.plans.drawing import draw_plan
 from tools.plans.measure import scans_of
 

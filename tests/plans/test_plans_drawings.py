@@ -11,12 +11,9 @@ from command import call, rows
 from ezdxf.layouts import Modelspace
 from ezdxf.xclip import XClip
 
-from imgloc.errors import MapError
-from imgloc.io.maps import load_map
-from imgloc.plans.building import FloorPlan
+from imgloc import FloorPlan, MapError, load_map, simulate
 from imgloc.plans.drawn import drawing_to_maps, role_of
 from imgloc.plans.vectors import MOST, Drawing, Stroke, read_drawing
-from imgloc.simulation.scans import simulate
 from tools.plans.drawing import building
 from tools.plans.drawings import write_dxf
 from tools.plans.measure import AROUND, Row, judge, shares_found

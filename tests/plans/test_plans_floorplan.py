@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from cabin import cabin
 
-from imgloc.errors import ConfigError, MapError
+from imgloc import ConfigError, FloorPlan, MapError, Pose2D, load_plan, plan_to_map
 from imgloc.io.images import encode_png
-from imgloc.model import BoolArray, Pose2D
-from imgloc.plans.building import KINDS, THICKEST, FloorPlan, enclosed, inside_of, standing
+from imgloc.model import BoolArray
+from imgloc.plans.building import KINDS, THICKEST, enclosed, inside_of, standing
 from imgloc.plans.doors import Door
-from imgloc.plans.files import load_plan
-from imgloc.plans.floorplan import STEPS, _kinds, _pen, _sheet, _swings, plan_to_map
+from imgloc.plans.floorplan import STEPS, _kinds, _pen, _sheet, _swings
 from imgloc.plans.masks import opened
 from tools.plans.drawing import Image, draw_plan, inside, solid
 from tools.plans.measure import shares_found

@@ -16,9 +16,8 @@ from command import MAPS, call, rows
 from places import POSES, grid_of
 
 import imgloc
+from imgloc import LaserScan, Pose2D, ScanSet
 from imgloc.answers.scanmotion import odd_laser
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D
 from imgloc.simulation.scans import simulate_ranges
 
 LOGS = {

@@ -10,8 +10,7 @@ import pytest
 from command import Run, call, rows
 
 import imgloc
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, OccupancyGrid
+from imgloc import LaserScan, OccupancyGrid, ScanSet
 
 
 @pytest.fixture(scope="module")

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, LaserScan, ScanSet
 from imgloc.filters.follow import with_odometry
 from imgloc.filters.motion import increments
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
 from tools.filters import Run, driven, for_good, piece, recovered, starts, summarise_runs
 
 

@@ -21,8 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.__about__ import __version__
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, __version__
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
