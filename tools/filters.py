@@ -254,10 +254,9 @@ def kidnappings(
 
 def parser_of_logs(name: str, about: str | None) -> argparse.ArgumentParser:
     """The parser of a tool that measures along the logs of some folders, and writes rows."""
-    parser = parser_of(f"tools.{name}", about)
+    parser = parser_of(f"tools.{name}", about, seed=0)
     parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
     parser.add_argument("--out", type=Path, default=Path(name))
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--searches", type=Path, help="folder that keeps what searches found")
     return parser
 

@@ -151,9 +151,8 @@ def row_of(world: str, some: Sequence[Outcome]) -> tuple[object, ...]:
 
 def main() -> int:
     """Parse the command line, measure, print a table."""
-    parser = parser_of("tools.standing", __doc__)
+    parser = parser_of("tools.standing", __doc__, seed=0)
     parser.add_argument("-n", type=int, default=200, help="scans (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     at_least_one(n=given.n)
     each, every = -(-given.n // len(WORLDS_ASKED)), list[Outcome]()
