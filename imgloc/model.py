@@ -717,18 +717,13 @@ class Localization(ByContent):
         evidence |= {f"floor_{of}": getattr(floor, of) for of in ("distance", "direction")}
         out = {
             "index": index,
-            "verdict": self.verdict,
-            "pose": self.pose,
-            "base_pose": self.base_pose,
+            **{name: getattr(self, name) for name in ("verdict", "pose", "base_pose")},
             "hypotheses": rows,
             "elsewhere": self.elsewhere,
             "protection": [vars(level) for level in self.protection],
             "things": [vars(thing) for thing in e.things],
             "evidence": evidence,
-            "complete": self.complete,
-            "entropy": self.entropy,
-            "explained": self.explained,
-            "counts": self.counts,
+            **{key: getattr(self, key) for key in ("complete", "entropy", "explained", "counts")},
             "timings_ms": {key: round(ms, 3) for key, ms in self.timings_ms.items()},
             "parameters": {**self.parameters, **parameters},
         }

@@ -6,14 +6,8 @@ from pathlib import Path
 
 from places import room_with_a_post
 
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Options, Sensor
-from imgloc.runs.batch import run_batch
-from imgloc.runs.jobs import make_job
+from imgloc import Options, ScanSet, Sensor, make_job, run_batch, save_map, save_scans, simulate
 from imgloc.runs.results import RESULTS, read_rows
-from imgloc.simulation.scans import simulate
 
 QUICK = make_job(options=Options(method="cbml", top=2), cell=0.2)
 

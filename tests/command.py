@@ -109,16 +109,20 @@ def run(program: Callable[[list[str]], int | None], *arguments: object) -> Run:
 SAFE = ("-P",) if sys.version_info >= (3, 11) else ()
 
 
-def command(arguments: Sequence[object]) -> list[str]:
-    """Return the real command, for subprocess."""
+#: What the command runs.
+MAIN = "import imgloc.cli.app as a; a.main()"
+
+
+def command(arguments: Sequence[object], code: str = MAIN) -> list[str]:
+    """Return the real command, for subprocess, or other `code` with these arguments."""
     # -P: the folder that a test runs in is not on the path, as with the installed script.
-    start = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import imgloc.cli.app as a; a.main()"
+    start = f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{code}"
     return [sys.executable, *SAFE, "-c", start, *map(str, arguments)]
 
 
-def spawn(*arguments: object, cwd: Path | None = None) -> Run:
-    """Run the real command."""
-    done = subprocess.run(command(arguments), capture_output=True, cwd=cwd, timeout=60, check=False)
+def spawn(*arguments: object, cwd: Path | None = None, code: str = MAIN) -> Run:
+    """Run the real command, or other `code`, in a process of its own."""
+    done = subprocess.run(command(arguments, code), capture_output=True, cwd=cwd, timeout=120)
     return Run(
         done.returncode,
         done.stdout.decode("utf-8"),

@@ -143,14 +143,26 @@ def visibility(points, n_psi, horizon):
     to p_i, and that is computed here.
     """
     vis = np.full((len(points), n_psi), np.inf)
-    for i, p_i in enumerate(points):  # l. 1
+    for p_i in points:  # l. 1
         for j, p_j in enumerate(points):  # l. 2
             d = math.hypot(p_j[0] - p_i[0], p_j[1] - p_i[1])  # l. 3
-            if i == j or d > horizon:
+            if d == 0 or d > horizon:
                 continue
             psi = angle_bin(phi((p_i[0] - p_j[0], p_i[1] - p_j[1])), n_psi)  # l. 4
             vis[j, psi] = min(d, vis[j, psi])  # l. 5
     return vis
+
+
+def ray(occupied, x, y, psi, max_range, step=0.01):
+    """Walk from (x, y) in cells until an occupied cell; max_range if there is none."""
+    height, width = occupied.shape
+    t, cos, sin = 0.0, math.cos(psi), math.sin(psi)
+    while t < max_range:
+        column, row = math.floor(x + t * cos), math.floor(y + t * sin)
+        if 0 <= column < width and 0 <= row < height and occupied[row, column]:
+            return t
+        t += step
+    return max_range
 
 
 def at(image, row, col, replicate):

@@ -1,16 +1,14 @@
 """What the tests of the pipeline share: the bundled worlds, a scan in each, answers."""
 
+import json
 import math
 from functools import cache
 
 import numpy as np
 
+from imgloc import LaserScan, OccupancyGrid, Options, Pose2D, ScanSet, localize, prepare
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import wrap
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import Options
-from imgloc.pipeline import localize, prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -48,9 +46,20 @@ def drive(poses):
     """A drive through the world visibility, with odometry."""
     fine = render(WORLDS["visibility"](), 0.05)
     ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
-    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    return ScanSet(scans, poses, 100.0 + np.arange(len(poses)), odom)
+    odom, stamps = noisy_odometry(poses, np.random.default_rng(0)), 100.0 + np.arange(len(poses))
+    scans = (LaserScan(r, ANGLES, 0.0, 30.0, t) for r, t in zip(ranges, stamps, strict=True))
+    return ScanSet(tuple(scans), poses, stamps, odom)
+
+
+def lines_of(scans):
+    """A drive as lines of JSON, as a program sends them that knows where the robot is."""
+    rows = zip(scans.scans, scans.stamps, scans.odom, scans.poses, strict=True)
+    return [
+        json.dumps({"ranges": scan.ranges.round(4).tolist(), "angles": ANGLES.tolist(),
+                    "range_max": 30.0, "stamp": stamp, "odom": odom.tolist(),
+                    "pose": pose.tolist()}) + "\n"
+        for scan, stamp, odom, pose in rows
+    ]  # fmt: skip
 
 
 @cache
@@ -75,8 +84,19 @@ def facts(answer):
     )
 
 
+def hall(high, wide, *walls, origin=None):
+    """A hall at 0.1 m, of so many cells within a wall of two, and more walls in it."""
+    occupied = np.pad(np.zeros((high, wide), bool), 2, constant_values=True)
+    for cells in walls:
+        occupied[cells] = True
+    return OccupancyGrid(occupied, ~occupied, 0.1, origin or Pose2D(0, 0, 0))
+
+
 def room_with_a_post(width=40, height=30):
     """A small map on which every method is fast."""
-    wall = np.pad(np.zeros((height, width), bool), 2, constant_values=True)
-    wall[2:12, 20:23] = True
-    return OccupancyGrid(wall, ~wall, 0.1)
+    return hall(height, width, np.s_[2:12, 20:23])
+
+
+def room_with_two_posts(origin=None):
+    """A small map with nothing that is the same from elsewhere."""
+    return hall(36, 46, np.s_[10:14, 12:20], np.s_[25:33, 30:33], origin=origin)

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from places import POSES, answer_of, error, features_of, room_with_a_post, scan_of
+from places import POSES, answer_of, error, features_of, hall, room_with_a_post, scan_of
 
-from imgloc.answers.explain import KINDS, RayFit, explain, explain_rays, faced
+from imgloc import LaserScan, OccupancyGrid, OrientedPoints, Pose2D, explain, localize, prepare
+from imgloc.answers.explain import KINDS, RayFit, explain_rays, faced
 from imgloc.features.raycast import cast_rays
-from imgloc.model import LaserScan, OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.options import ALL_METHODS, Options, Prior
-from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import near
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
@@ -200,8 +199,7 @@ def test_the_check_that_fails_is_the_last_one(room) -> None:
     assert [c.name for c in answer.evidence.checks] == ["readings", "elsewhere"]
     assert [c.holds for c in answer.evidence.checks] == [True, False]
     assert answer.evidence.checks[1].value == answer.elsewhere
-    square = np.pad(np.zeros((30, 30), bool), 2, constant_values=True)
-    twins = prepare(OccupancyGrid(square, ~square, 0.1))
+    twins = prepare(hall(30, 30))
     scan = seen_from(twins, (1.0, 1.3, 0.2))
     answer = localize(twins, scan)
     assert answer.verdict == "ambiguous"

@@ -7,15 +7,11 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
+from imgloc import ConfigError, Options, Sensor, Trust, load_map, prepare, save_map, simulate
 from imgloc.choice.choose import LUCK, choose, fit, log_evidence, names_of, unknown_evidence
-from imgloc.errors import ConfigError
 from imgloc.io.folders import find_maps
-from imgloc.io.maps import load_map, save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
 from imgloc.numbers import number
-from imgloc.options import Options, Sensor, Trust
-from imgloc.pipeline import prepare
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 

@@ -9,26 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 from command import MAPS, call, rows
-from places import room_with_a_post
+from places import hall, room_with_a_post
 
+from imgloc import MapFeatures, load_map, prepare, save_map, save_scans, simulate, which
 from imgloc.choice import choose as choosing
 from imgloc.choice import folder_index
-from imgloc.choice.choose import FIRST, MOST, bounds_of, choose, search, which
+from imgloc.choice.choose import FIRST, MOST, bounds_of, choose, search
 from imgloc.choice.folder_index import MapIndex, index_of, open_index
 from imgloc.choice.mosaic import best_fits, mosaics
 from imgloc.errors import ConfigError, MapError, OutputError
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
 from imgloc.io.calibration import calibration_path, said_scale, save_calibrations
 from imgloc.io.folders import files_in, find_maps
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import save_scans
 from imgloc.likelihoods.correlate import correlate
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options, Prior, Sensor, Shared
-from imgloc.pipeline import prepare
 from imgloc.runs.results import read_rows
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.thousand import ask_thousand, make_thousand, pieces, turned
 
@@ -182,8 +178,7 @@ def site(tmp_path: Path) -> Path:
     grid = room_with_a_post()
     save_map(floors / "post.yaml", grid)
     save_map(floors / "turned.yaml", turned(grid, (3.0, 2.0), np.array([7, 6]), 0.5, mirrored=True))
-    walls = np.pad(np.zeros((50, 70), bool), 2, constant_values=True)
-    save_map(floors / "hall.yaml", OccupancyGrid(walls, ~walls, 0.1))
+    save_map(floors / "hall.yaml", hall(50, 70))
     save_scans(tmp_path / "s.npz", simulate(grid, 2, 1, Sensor(rays=90, fov=6.0, range_max=9.0)))
     old = 1_700_000_000
     for path in floors.iterdir():

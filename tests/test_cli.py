@@ -45,7 +45,6 @@ def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic", "matplotlib",
              "imgloc.pipeline", "imgloc.plans", "imgloc.lab.evaluation")  # fmt: skip
     code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli.app import main\n"
         "for words in (['--help'], ['localize', '--help'], ['evaluate', '-h'],\n"
         "              ['map', 'show', '-h'], ['--version']):\n"
@@ -53,26 +52,21 @@ def test_help_imports_nothing_heavy() -> None:
         "    except SystemExit as e: assert not e.code, words\n"
         f"sys.exit(str([m for m in {heavy} if m in sys.modules] or ''))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-    assert done.stderr.decode().strip() == ""
+    assert spawn(code=code).err.strip() == ""
 
 
-def test_a_prepared_map_waits_for_no_library_that_it_does_not_use(
-    scans: Path, tmp_path: Path
-) -> None:
+def test_a_prepared_map_waits_for_no_library_that_it_does_not_use(scans, tmp_path):
     aside = ("skimage.util", "skimage.morphology", "scipy", "pydantic", "rich", "imgloc.filters")
     code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli.app import main\n"
         "try: main(sys.argv[1:])\n"
         "except SystemExit as e: assert not e.code\n"
         f"print([m for m in {aside} if m in sys.modules], file=sys.stderr)"
     )
     words = ["localize", MAPS / "curved.yaml", scans, "--scans-index", "0", "--json"]
-    line = [sys.executable, "-c", code, *words, "--cache", tmp_path]
     for _ in range(2):
-        done = subprocess.run(line, capture_output=True, check=True)
-    assert done.stderr.decode().strip() == "[]"
+        run = spawn(*words, "--cache", tmp_path, code=code).ends(0)
+    assert run.err.strip() == "[]"
 
 
 def options_of(command: Any) -> set[str]:
@@ -124,12 +118,12 @@ def test_the_library_speaks_of_arguments_and_the_command_line_of_options() -> No
 
 def test_import_imgloc_is_cheap_and_offers_every_public_name() -> None:
     code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); import imgloc\n"
+        "import imgloc\n"
         "assert 'numpy' not in sys.modules and 'load_map' in dir(imgloc)\n"
         "from imgloc import *\n"
         "assert load_map.__name__ == 'load_map' and 'fused' in ALL_METHODS"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    spawn(code=code).ends(0)
     for name in imgloc.__all__:
         assert getattr(imgloc, name) is not None
 
@@ -166,9 +160,7 @@ def test_names_spelled_out_for_the_help_are_those_of_the_code() -> None:
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_every_failure_is_one_line_and_its_exit_code(
-    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_failure_is_one_line_and_its_exit_code(error, code, line, capsys):
     app = typer.Typer(cls=Group, pretty_exceptions_enable=False, rich_markup_mode=None)
 
     @app.command()
@@ -244,9 +236,7 @@ def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path, tmp_path:
     assert len(rows(out.decode())) < 3999
 
 
-def test_an_interrupt_while_the_command_line_is_loaded(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupt_while_the_command_line_is_loaded(monkeypatch, capsys):
     real = builtins.__import__
 
     def interrupted(name: str, *rest: Any) -> Any:
@@ -265,8 +255,6 @@ def test_an_interrupt_while_the_command_line_is_loaded(
 def test_a_closed_pipe_ends_the_run_quietly(scans: Path) -> None:
     words = command(["localize", MAPS / "curved.yaml", scans, "--json", "--threads", "1"])
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
-        assert run.stdout is not None
-        assert run.stderr is not None
         run.stdout.readline()
         run.stdout.close()
         assert run.stderr.read() == b""
@@ -308,9 +296,7 @@ def test_emit_survives_without_a_stdout(monkeypatch: pytest.MonkeyPatch) -> None
     emit("nobody hears this")
 
 
-def test_demo_runs_twice_in_an_empty_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_demo_runs_twice_in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     first, second = spawn("demo", cwd=tmp_path), call("demo")
     assert (first.code, second.code) == (0, 0)

@@ -52,9 +52,7 @@ def judge(file: BadFile, run: Run, folder: Path) -> list[str]:
     return [f"{file.name}: {fault}: {run.err}" for fault in faults]
 
 
-def test_every_bad_file_is_one_clear_error(
-    inputs: Inputs, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_every_bad_file_is_one_clear_error(inputs, tmp_path, capfd):
     assert len(inputs.bad) > 100
     runs = ((file, call(*inputs.words(file, tmp_path))) for file in inputs.bad)
     assert not [fault for file, run in runs for fault in judge(file, run, tmp_path)]

@@ -50,9 +50,7 @@ def folder(tmp_path: Path, simulated: Path) -> Path:
         ([*SAMPLE, "--method", "cbml"], "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger"]),
     ],
 )
-def test_over_budget_is_refused_with_sizes(
-    command: list[object], budget: str, expected: list[str], folder: Path
-) -> None:
+def test_over_budget_is_refused_with_sizes(command, budget, expected, folder):
     check_refused(command, budget, expected, folder)
 
 
@@ -61,9 +59,7 @@ def test_over_budget_is_refused_with_sizes(
     [SIMULATE, SHOW, LOCALIZE, CHECK],
     ids=lambda command: " ".join(map(str, command[:2])),
 )
-def test_within_the_budget_it_is_said_and_done(
-    command: list[object], folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_within_the_budget_it_is_said_and_done(command, folder, caplog):
     check_done(command, folder, caplog)
 
 
@@ -96,9 +92,7 @@ def test_an_image_is_refused_by_its_header(image: str, tmp_path: Path) -> None:
     assert call(*given, "100M").code == 0
 
 
-def test_a_demo_counts_the_stack_that_it_draws(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_demo_counts_the_stack_that_it_draws(folder, monkeypatch):
     monkeypatch.setattr("imgloc.features.budget.available_bytes", lambda: 180 << 20)
     run = call(*words(DEMO, folder))
     run.ends(2, "curved: cbml on 130 x 160 cells of 0.1 m", "use another --map", out="")
@@ -108,9 +102,7 @@ def test_a_demo_counts_the_stack_that_it_draws(
 @pytest.mark.parametrize(
     "command", [LOCALIZE, [*SAMPLE, "--method", "cbml"]], ids=lambda command: command[0]
 )
-def test_the_default_budget_is_that_of_the_start(
-    command: list[object], folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_default_budget_is_that_of_the_start(command, folder, monkeypatch):
     left = [4 << 30]  # then others, and the features, have taken what there was
     monkeypatch.setattr("imgloc.features.budget.available_bytes", lambda: left.pop() if left else 0)
     assert call(*words(command, folder)).code == 0
@@ -157,9 +149,7 @@ def sources(tmp_path: Path, simulated: Path) -> Callable[[bytes], Path]:
 
 
 @pytest.mark.parametrize("command", READERS, ids=lambda command: " ".join(map(str, command[:2])))
-def test_no_command_decodes_an_image_over_the_budget(
-    command: list[object], sources: Callable[[bytes], Path]
-) -> None:
+def test_no_command_decodes_an_image_over_the_budget(command, sources):
     folder = sources(damaged_png(11_000))
     before = sorted(folder.iterdir())
     run = call(*words(command, folder), "--memory-budget", "500M").ends(2, out="")
@@ -199,9 +189,7 @@ SCAN_READERS: list[list[object]] = [
     [("s.npz", command) for command in SCAN_READERS]
     + [(name, SCAN_READERS[0]) for name in ("s.csv", "s.jsonl", "s.json")],
 )
-def test_no_command_reads_scans_over_the_budget(
-    name: str, command: list[object], tmp_path: Path
-) -> None:
+def test_no_command_reads_scans_over_the_budget(name, command, tmp_path):
     path = tmp_path / name
     if name == "s.npz":
         np.savez(path, ranges=np.ones((1000, 999)), angles=np.linspace(-1, 1, 999))

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
+from imgloc import LaserScan, ScanSet, save_scans
 from imgloc.io.cache import cache_info
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
 
 
 @pytest.fixture

@@ -10,10 +10,8 @@ import pytest
 from command import MAPS, call
 
 import imgloc
+from imgloc import Sensor, save_scans, simulate
 from imgloc.io.calibration import calibration_path, save_calibrations
-from imgloc.io.scans import save_scans
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 MENDS = "Make that file anew with imgloc calibrate MAP --scans FILE --force, or move it away"
@@ -52,9 +50,7 @@ def advice(run_err: str) -> list[str]:
         ({"scale": 1.06, "bent": 0.02}, "shared.scale is 1.06"),  # unique, with another scale
     ],
 )
-def test_the_calibration_is_named_not_the_map(
-    place: Path, shared: dict[str, object], said: str
-) -> None:
+def test_the_calibration_is_named_not_the_map(place, shared, said):
     file = calibrate(place / "map.yaml", **shared)
     cause = f"fit this map far better without .*{re.escape(file.name)}, whose {said}. {MENDS}"
     run = call("localize", place / "map.yaml", place / "a.npz", "--no-cache")
@@ -111,9 +107,7 @@ def test_a_followed_robot_names_the_calibration(shared: Path, tmp_path: Path) ->
         ("usual", 1e6, "shared.usual: got 1000000.0, expected nats, 0 to 10"),
     ],
 )
-def test_a_value_that_cannot_be_is_named_with_its_file(
-    place: Path, key: str, value: float, expected: str
-) -> None:
+def test_a_value_that_cannot_be_is_named_with_its_file(place, key, value, expected):
     file = calibrate(place / "map.yaml", **{key: value})
     run = call("localize", place / "map.yaml", place / "a.npz", "--no-cache", "--scans-index", 0)
     assert run.code == 0

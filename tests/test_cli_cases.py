@@ -85,9 +85,7 @@ def test_grey_205_is_warned_of_where_it_is_the_unknown(kind: str, tmp_path: Path
     assert ("grey-205" in [w["code"] for w in row["warnings"]]) == (kind == "unknown")
 
 
-def test_the_cases_give_what_their_kind_should(
-    shared: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_cases_give_what_their_kind_should(shared, monkeypatch):
     monkeypatch.chdir(shared / "cases")
     said = {
         "inspect 04-nodding-laser/nod.bag": "left out 53 of 60 scans",

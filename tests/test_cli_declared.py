@@ -103,9 +103,7 @@ def test_no_option_has_two_meanings(words: str) -> None:
         (Reading, "resolution", "0.05", 0.05),
     ],
 )
-def test_a_text_becomes_the_value_of_a_field(
-    kind: Any, name: str, text: str, value: object
-) -> None:
+def test_a_text_becomes_the_value_of_a_field(kind, name, text, value):
     (field,) = (part for part in declared(kind) if part.name == name)
     assert value_of(field, text) == value
 
@@ -124,9 +122,7 @@ def test_a_text_becomes_the_value_of_a_field(
         (Known, "near", "1,2,0,1,3.3", "--near: got T 3.3, expected radians, 0.001 to 3.2"),
     ],
 )
-def test_a_text_that_is_no_value_is_refused_by_the_option(
-    kind: Any, name: str, text: str, says: str
-) -> None:
+def test_a_text_that_is_no_value_is_refused_by_the_option(kind, name, text, says):
     (field,) = (part for part in declared(kind) if part.name == name)
     with pytest.raises(ConfigError) as error:
         value_of(field, text)
@@ -207,9 +203,7 @@ def test_a_hint_with_an_option_of_other_commands_leads_on(tmp_path: Path) -> Non
     ("localize curved s.npz --resolution 0", "--resolution: got 0, expected metres, 0.001 to 10"),
     ("localize curved s.npz --threads 0", "--threads: got 0, expected a whole number, 1 or more"),
 ])  # fmt: skip
-def test_an_option_of_the_program_is_refused_where_nothing_notices_it(
-    words: str, said: str
-) -> None:
+def test_an_option_of_the_program_is_refused_where_nothing_notices_it(words, said):
     call(*words.split()).ends(2, said, out="")
     switch = words.split()[-2 if words[-1].isdigit() else -1 :]
     call(*switch, *words.split()[: -len(switch)]).ends(2, said, out="")

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from command import MAPS, call, simulating
 
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
+from imgloc import LaserScan, ScanSet, save_scans
 
 CURVED = MAPS / "curved.yaml"
 
@@ -46,9 +44,7 @@ def test_several_scans_are_numbered_pages(scans: Path, tmp_path: Path) -> None:
     ("name", "code", "expected"),
     [("why.htm", 2, "ends in .html"), ("no/why.html", 1, "there is no folder")],
 )
-def test_bad_names_are_refused_at_once(
-    name: str, code: int, expected: str, scans: Path, tmp_path: Path
-) -> None:
+def test_bad_names_are_refused_at_once(name, code, expected, scans, tmp_path):
     call("localize", CURVED, scans, "--explain", tmp_path / name).ends(code, expected, out="")
     assert not list(tmp_path.iterdir())
 

@@ -39,9 +39,7 @@ def content(folder: Path) -> dict[str, bytes]:
         "sample curved.yaml scan.csv --out scan.csv",
     ],
 )
-def test_no_input_is_overwritten(
-    words: str, office: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_input_is_overwritten(words, office, tmp_path, monkeypatch):
     folder = tmp_path / "office"
     folder.mkdir()
     for path in list(office.glob("*.*")):
@@ -96,9 +94,7 @@ def test_a_map_is_a_yaml_its_image_and_its_calibration(tmp_path: Path) -> None:
         assert files_of(tmp_path / name) == [tmp_path / name, calibration_path(tmp_path / name)]
 
 
-def test_a_name_is_that_of_a_file_before_that_of_a_bundled_map(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_is_that_of_a_file_before_that_of_a_bundled_map(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert find_map("curved") == MAPS / "curved.yaml"
     for name in ("curved.yaml", "./curved/", "x/curved", "office"):

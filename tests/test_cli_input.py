@@ -12,10 +12,7 @@ import pytest
 from command import MAPS, call, rows, simulating, spawn
 from places import room_with_a_post
 
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
+from imgloc import Sensor, save_map, save_scans, simulate
 
 OFF = "--no-cache"
 
@@ -28,9 +25,7 @@ def through_stdin(monkeypatch: pytest.MonkeyPatch, data: bytes, *arguments: obje
     return call("localize", "curved", "-", OFF, *arguments)
 
 
-def test_standard_input_is_read_whatever_it_is(
-    scans: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_standard_input_is_read_whatever_it_is(scans, monkeypatch):
     with np.load(scans) as held:
         ranges, angles = held["ranges"][1], held["angles"]
     text = "".join(f"{a},{r}\n" for a, r in zip(angles, ranges, strict=True))
@@ -51,9 +46,7 @@ def test_standard_input_is_read_whatever_it_is(
     "words",
     [("sample", "curved", "-"), ("map", "show", "curved", "--what=likelihood", "--scans=-")],
 )
-def test_standard_input_has_a_name(
-    words: tuple[str, ...], scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_standard_input_has_a_name(words, scans, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(scans.read_bytes())))
     out = tmp_path / ("a.csv" if words[0] == "sample" else "a.png")
     run = call(*words, "--scans-index", 9, "--out", out)
@@ -119,8 +112,6 @@ def test_formats_are_in_the_help_and_their_examples_are_read(tmp_path: Path) -> 
     text = call("localize", "--help").out
     csv = re.search(r"( +# angle_min.*\n.*\n)", text)
     line = re.search(r"(\{\"angle_min\"[^}]*\})", text)
-    assert csv is not None
-    assert line is not None
     (tmp_path / "a.csv").write_text("".join(s.strip() + "\n" for s in csv[1].splitlines()))
     (tmp_path / "a.json").write_text(line[1].replace(", ...", ""))
     for name, valid in (("a.csv", [11]), ("a.json", [4])):
@@ -215,9 +206,7 @@ def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
         (("evaluate", "--scans-index", "3"), "--scans-index: is for evaluate --scans, not"),
     ],
 )
-def test_what_is_no_choice_of_scans_is_said(
-    words: tuple[str, ...], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_choice_of_scans_is_said(words, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     twelve(tmp_path)
     named = {"which": (MAPS, "a.npz"), "evaluate": ("curved",)}

@@ -13,36 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import MAPS, Run, call, command, fed, rows
+from places import drive, lines_of
 
-from imgloc.cli.live import live_of
-from imgloc.filters.motion import noisy_odometry
+from imgloc.cli.tracking import live_of
 from imgloc.options import Logs
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 
 N_RAYS = 120
-MAP, ANGLES, N = MAPS / "visibility.yaml", np.deg2rad(np.arange(-180, 180, 3.0)), 8
+MAP, N = MAPS / "visibility.yaml", 8
 
 
 @pytest.fixture(scope="module")
 def lines() -> list[str]:
-    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(N)])
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
-    return [
-        json.dumps(
-            {
-                "ranges": [round(float(r), 4) for r in ranges],
-                "angles": ANGLES.tolist(),
-                "range_max": 30.0,
-                "stamp": 100.0 + k,
-                "odom": o.tolist(),
-                "pose": pose.tolist(),
-            }
-        )
-        + "\n"
-        for k, (ranges, o, pose) in enumerate(zip(seen, odom, poses, strict=True))
-    ]
+    return lines_of(drive(np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(N)])))
 
 
 def started(*words: object) -> subprocess.Popen[str]:
@@ -66,7 +48,6 @@ def test_each_line_is_answered_before_the_next_one_comes(lines: list[str], tmp_p
     path.write_text("".join(lines))
     whole = call("track", MAP, path, "--json", "--tum", tmp_path / "file.tum").ends(0)
     run, got = started("-", "--json", "--tum", tmp_path / "pipe.tum"), []
-    assert run.stdin is not None
     for line in lines:
         run.stdin.write(line)
         run.stdin.flush()
@@ -78,9 +59,7 @@ def test_each_line_is_answered_before_the_next_one_comes(lines: list[str], tmp_p
     assert "from line in to line out p50" in said
 
 
-def test_a_named_pipe_is_followed_and_a_cut_line_is_left_out(
-    lines: list[str], tmp_path: Path
-) -> None:
+def test_a_named_pipe_is_followed_and_a_cut_line_is_left_out(lines, tmp_path):
     path = tmp_path / "pipe"
     os.mkfifo(path)
     text = "\n" + "".join(lines[:3]) + lines[3][:40]
@@ -93,9 +72,7 @@ def test_a_named_pipe_is_followed_and_a_cut_line_is_left_out(
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
-def test_a_file_that_grows_is_followed_through_its_rotation(
-    lines: list[str], tmp_path: Path
-) -> None:
+def test_a_file_that_grows_is_followed_through_its_rotation(lines, tmp_path):
     path = tmp_path / "log.jsonl"
     path.write_text(lines[0] + lines[1][:50])
     run = started(path, "--json", "--follow", "--tum", tmp_path / "a.tum")
@@ -191,9 +168,7 @@ def whole(lines: list[str]) -> str:
 
 
 @pytest.mark.parametrize("broken", ["garbage", '{"odom": [NaN, 0, 0]}'])
-def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(
-    lines: list[str], whole: str, broken: str
-) -> None:
+def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(lines, whole, broken):
     text = "".join([*lines[:4], broken + "\n", *lines[4:]])
     run = followed(text, "--json", "--max-bad", "0.2")
     run.ends(0, "standard input: line 5: ", "the line is left out")

@@ -7,12 +7,9 @@ import pytest
 from command import MAPS, call, rows, simulating, spawn, untimed
 
 import imgloc
+from imgloc import ALL_METHODS, ScanSet, load_map, load_scans, save_map, save_scans
 from imgloc.geometry import transform_poses
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
-from imgloc.options import ALL_METHODS
 
 CURVED = MAPS / "curved.yaml"
 KEYS = [
@@ -79,7 +76,6 @@ def test_json_has_the_documented_keys_and_the_right_poses(scans: Path) -> None:
     answers = rows(out)
     assert [a["index"] for a in answers] == [0, 1, 2]
     truth = load_scans(scans).poses
-    assert truth is not None
     for answer, pose in zip(answers, truth, strict=True):
         assert list(answer) == KEYS
         assert answer["verdict"] == "unique"
@@ -156,8 +152,6 @@ def test_origin_with_a_yaw_moves_every_pose(scans: Path, tmp_path: Path) -> None
     for path, name in ((CURVED, "a"), (turned, "b")):
         assert call("simulate", path, "-n", 2, "--out", tmp_path / f"{name}.npz").code == 0
     a, b = (load_scans(tmp_path / f"{name}.npz") for name in "ab")
-    assert a.poses is not None
-    assert b.poses is not None
     np.testing.assert_allclose(b.poses, transform_poses(origin, a.poses), atol=1e-9)
     np.testing.assert_array_equal(a[1].ranges, b[1].ranges)
     text = call("localize", turned, tmp_path / "b.npz", "--scans-index", 0).out
@@ -243,9 +237,7 @@ def test_a_scan_without_a_limit_has_no_infinity_in_json(tmp_path: Path, scans: P
     ("sentinel", "method"),
     [(1e6, "fused"), (1.7e308, "fused"), (1.7e308, "beam")],
 )
-def test_codes_for_no_return_need_no_limit_of_the_range(
-    sentinel: float, method: str, scans: Path, tmp_path: Path
-) -> None:
+def test_codes_for_no_return_need_no_limit_of_the_range(sentinel, method, scans, tmp_path):
     scan = load_scans(scans)[0]
     answers = []
     for name, value in (("plain", np.inf), ("coded", sentinel)):

@@ -112,9 +112,7 @@ def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
         ("--at 0,0 --what visibility", "not on the map"),  # left of its origin
     ],
 )
-def test_show_refuses_what_would_be_ignored(
-    words: str, expected: str, grey: Path, tmp_path: Path
-) -> None:
+def test_show_refuses_what_would_be_ignored(words, expected, grey, tmp_path):
     code, _, err = call("map", "show", grey, *words.split(), "--out", tmp_path / "o.png")
     assert code == 2
     assert expected in err

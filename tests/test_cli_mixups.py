@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from command import MAPS, Run, call, rows
 
+from imgloc import ScanSet, Sensor, load_scans, save_scans, simulate
 from imgloc.io.images import encode_png, read_image
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 OFF = "--no-cache"
@@ -110,9 +107,7 @@ def test_scans_of_another_place_end_with_what_to_look_at(scans: Path) -> None:
     assert "540 nan" in run.err
 
 
-def test_a_map_with_black_and_white_swapped_is_told_by_check_and_localize(
-    tmp_path: Path, scans: Path
-) -> None:
+def test_a_map_with_black_and_white_swapped_is_told_by_check_and_localize(tmp_path, scans):
     pixels = read_image(MAPS / "curved.png").pixels
     grey = np.where(pixels == 254, 0, np.where(pixels == 0, 254, 205)).astype(np.uint8)
     (tmp_path / "m.png").write_bytes(encode_png(grey))
@@ -188,9 +183,7 @@ def test_evaluate_says_at_once_how_scans_are_given(scans: Path) -> None:
     assert (run.code, "gone.yaml: no such file" in run.err) == (3, True)
 
 
-def test_evaluate_and_batch_end_with_the_lines_that_were_left_out(
-    scans: Path, tmp_path: Path
-) -> None:
+def test_evaluate_and_batch_end_with_the_lines_that_were_left_out(scans, tmp_path):
     log = tmp_path / "a.jsonl"
     log.write_text("\n".join([*lines_of(scans, 110), '{"ranges": [1,']) + "\n")
     few = ("--sample", 2)
@@ -233,9 +226,7 @@ def hint_of(run: Run) -> str:
 
 
 @pytest.mark.parametrize("given", [("--heading", "-1,0.1"), ("--near", "3,3,1,0.4,0.2")])
-def test_a_wrong_prior_is_named_with_the_place_that_it_leaves_out(
-    scans: Path, given: tuple[str, str]
-) -> None:
+def test_a_wrong_prior_is_named_with_the_place_that_it_leaves_out(scans, given):
     right = rows(call("localize", "curved", scans, OFF, "--json").out)
     run = call("localize", "curved", scans, OFF, *given)
     pose = right[0]["pose"]
@@ -257,9 +248,7 @@ def test_a_hint_about_few_readings_is_two_sentences(scans: Path) -> None:
 
 
 @pytest.mark.parametrize("folder", [".", "/"])
-def test_a_folder_without_a_name_is_no_map(
-    scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
-) -> None:
+def test_a_folder_without_a_name_is_no_map(scans, tmp_path, monkeypatch, folder):
     monkeypatch.chdir(tmp_path)
     for use in (
         ("localize", folder, scans), ("track", folder, scans), ("map", "check", folder),
@@ -283,9 +272,7 @@ def test_what_was_given_is_not_advised_again(scans: Path) -> None:
     assert "Try --range-scale 1, or" in hint_of(run)
 
 
-def test_a_mirrored_map_has_one_hint_and_the_command_with_it_works(
-    scans: Path, tmp_path: Path
-) -> None:
+def test_a_mirrored_map_has_one_hint_and_the_command_with_it_works(scans, tmp_path):
     (tmp_path / "m.png").write_bytes(
         encode_png(np.ascontiguousarray(read_image(MAPS / "curved.png").pixels[:, ::-1]))
     )
@@ -297,9 +284,7 @@ def test_a_mirrored_map_has_one_hint_and_the_command_with_it_works(
     assert [row["verdict"] for row in rows(run.out)] == ["unique", "unique"]
 
 
-def test_a_row_of_the_report_opens_a_page_that_explains_the_answer(
-    scans: Path, tmp_path: Path
-) -> None:
+def test_a_row_of_the_report_opens_a_page_that_explains_the_answer(scans, tmp_path):
     noise = np.random.default_rng(1).uniform(0.5, 9, (1, 180))
     mixed = changed(scans, "mixed.npz", ranges=lambda a: np.concatenate((noise, a["ranges"])),
                     poses=lambda a: np.concatenate((np.zeros((1, 3)), a["poses"])))  # fmt: skip

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows, simulating, untimed
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, load_scans
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
-from imgloc.io.scans import load_scans
 from imgloc.texts import byte_count
 
 WORLD = MAPS / "visibility.yaml"  # 140 x 200 cells of 0.1 m
@@ -34,7 +33,6 @@ def plain(scans: Path) -> dict:
 
 def away(row: dict, scans: Path) -> float:
     poses = load_scans(scans).poses
-    assert poses is not None
     best = row["hypotheses"][0]
     return float(np.hypot(best["x"] - poses[0, 0], best["y"] - poses[0, 1]))
 
@@ -90,16 +88,12 @@ def test_what_may_be_wrong_weighs_and_makes_nothing_unique(scans: Path, tmp_path
         (("--cache", ".", "--no-cache"), 2, "one of them"),
     ],
 )
-def test_refuses_what_cannot_be_meant(
-    scans: Path, options: tuple[object, ...], code: int, expected: str
-) -> None:
+def test_refuses_what_cannot_be_meant(scans, options, code, expected):
     call("localize", WORLD, scans, *options).ends(code, expected, out="")
 
 
 @pytest.mark.parametrize("channels", [3, 4], ids=["colour", "transparent"])
-def test_what_is_coloured_dark_or_transparent_is_not_white(
-    scans: Path, tmp_path: Path, channels: int
-) -> None:
+def test_what_is_coloured_dark_or_transparent_is_not_white(scans, tmp_path, channels):
     mask = np.full((140, 200, channels), 255, np.uint8)
     mask[70:, :, channels - 1] = 0  # coloured, or not seen
     mask[60:70, :, :3] = 110  # rather dark than light
@@ -141,9 +135,7 @@ def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path, plain: dict) 
     assert mounted["hypotheses"][0]["base"] == back
 
 
-def test_a_narrow_terminal_has_the_base_in_a_line_of_its_own(
-    scans: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_narrow_terminal_has_the_base_in_a_line_of_its_own(scans, monkeypatch):
     wide = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
     monkeypatch.setattr(sys.modules["imgloc.cli.localize"], "width", lambda: 80)
     narrow = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()

@@ -15,13 +15,9 @@ import pytest
 from command import call, command, untimed
 from places import room_with_a_post
 
+from imgloc import ScanSet, Sensor, save_map, save_scans, simulate
 from imgloc.io import contents
-from imgloc.io.maps import save_map
 from imgloc.io.mapyaml import image_named
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 
@@ -266,9 +262,7 @@ def test_a_message_of_megabytes_is_not_written_for_each_answer(folder: Path) -> 
 
 
 @pytest.mark.parametrize("how", ["deleted", "moved"])
-def test_a_folder_that_goes_in_the_middle_is_noticed_at_the_next_row(
-    folder: Path, how: str
-) -> None:
+def test_a_folder_that_goes_in_the_middle_is_noticed_at_the_next_row(folder, how):
     for k in range(60):
         shutil.copy(folder / "maps" / "post.yaml", folder / "maps" / f"m{k:03d}.yaml")
     out = folder / "new"
@@ -298,9 +292,7 @@ def test_a_folder_that_goes_in_the_middle_is_noticed_at_the_next_row(
 # Going on with much that is done.
 
 
-def test_each_map_is_read_once_to_know_that_it_is_done(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_map_is_read_once_to_know_that_it_is_done(folder, monkeypatch):
     for k in range(100):
         text = (folder / "maps" / "post.yaml").read_text() + f"# {k}\n"
         (folder / "maps" / f"m{k:03d}.yaml").write_text(text)

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from command import MAPS, call, simulating
 
+from imgloc import ScanSet, load_map, load_scans, save_map, save_scans
 from imgloc.geometry import wrap
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 
 CURVED = MAPS / "curved.yaml"
@@ -35,7 +33,6 @@ def test_most_are_where_the_scan_was_taken(method: str, scans: Path, tmp_path: P
     words = ("--cell", 0.2, "--method", method, "-n", 200, "--out", tmp_path / "a.csv")
     rows = drawn(CURVED, scans, *words)
     truth = load_scans(scans).poses
-    assert truth is not None
     assert rows[:, 0].tolist() == [0] * 200 + [1] * 200
     for k in range(2):
         assert near(rows[rows[:, 0] == k, 1:], truth[k]) > 0.5
@@ -84,9 +81,7 @@ def test_a_scan_that_says_nothing_may_be_from_anywhere(method: str, tmp_path: Pa
     ],
     ids=str,
 )
-def test_refuses(
-    scans: Path, tmp_path: Path, words: list[object], code: int, expected: str
-) -> None:
+def test_refuses(scans, tmp_path, words, code, expected):
     call("sample", CURVED, scans, "--out", tmp_path / "a.csv", *words).ends(code, expected, out="")
     assert not list(tmp_path.iterdir())
 
@@ -96,9 +91,7 @@ def test_the_file_is_named_csv(scans: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("method", ["fused", "ght-v"])
-def test_an_invalid_scan_is_drawn_from_everywhere_and_said_so(
-    method: str, scans: Path, tmp_path: Path
-) -> None:
+def test_an_invalid_scan_is_drawn_from_everywhere_and_said_so(method, scans, tmp_path):
     data = dict(np.load(scans))
     data["ranges"][0, 9:] = np.nan  # nine readings are left
     np.savez(tmp_path / "nine.npz", **data)

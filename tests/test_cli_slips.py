@@ -12,13 +12,8 @@ import pytest
 from command import MAPS, call, rows
 from places import drive
 
-from imgloc.errors import ConfigError
-from imgloc.filters.choose import make_filter
-from imgloc.filters.follow import follow
+from imgloc import ConfigError, Options, follow, load_map, load_scans, make_filter, save_scans
 from imgloc.io.cache import cache_limit
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.options import Options
 from imgloc.pipeline import prepare
 
 MAP, N = MAPS / "visibility.yaml", 6
@@ -190,9 +185,7 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
     assert "frame" not in call("localize", image, log, *same[:2], "--scans-index", 0).err
 
 
-def test_unknown_cells_that_count_as_free_are_said(
-    log: Path, tmp_path: Path, caplog, monkeypatch
-) -> None:
+def test_unknown_cells_that_count_as_free_are_said(log, tmp_path, caplog, monkeypatch):
     pixels = np.array(PIL.Image.open(MAP.with_suffix(".png")))
     pixels[pixels > 128] = 254
     pixels[:20] = 205
@@ -213,9 +206,7 @@ def test_unknown_cells_that_count_as_free_are_said(
 # --- the environment
 
 
-def test_a_limit_of_the_cache_that_is_no_number_is_refused(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_limit_of_the_cache_that_is_no_number_is_refused(log, tmp_path, monkeypatch):
     for value in ("abc", "-5", "1e3", "٣", "9" * 400):
         monkeypatch.setenv("IMGLOC_CACHE_MIB", value)
         with pytest.raises(ConfigError, match="expected a whole number of MiB, such as 2048"):

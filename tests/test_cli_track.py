@@ -13,15 +13,12 @@ import pytest
 from command import MAPS, call, rows
 from places import drive
 
+from imgloc import LaserScan, ScanSet, Shared, load_map, load_scans, save_scans
 from imgloc.filters.choose import FILTERS
 from imgloc.filters.motion import noisy_odometry
 from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.images import read_image
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan
-from imgloc.options import Shared
+from imgloc.model import FloatArray
 from imgloc.output.tracks import COLOURS, SCAN
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
@@ -99,9 +96,7 @@ def test_picture_and_video_show_the_map(tracked: tuple[Path, str, str]) -> None:
         assert near.sum() > 50
 
 
-def test_the_errors_against_a_true_trajectory_are_those_of_evo(
-    tracked: tuple[Path, str, str], log: Path, tmp_path: Path
-) -> None:
+def test_the_errors_against_a_true_trajectory_are_those_of_evo(tracked, log, tmp_path):
     assert "APE of " in tracked[2]  # the log has true poses
     got = [(row["stamp"], row["pose"]) for row in rows(tracked[1]) if row["pose"]]
     rng = np.random.default_rng(3)
@@ -144,9 +139,7 @@ def test_the_errors_against_a_true_trajectory_are_those_of_evo(
      ("1e200 0 1e200 1e200", "of length 1, not 1.73e+200"), ("0 nan 0 1", "qw, all finite"),
      ("0 0 1", "expected stamp x y z qx qy qz qw")],
 )  # fmt: skip
-def test_a_quaternion_that_is_no_rotation_is_named(
-    log: Path, tmp_path: Path, quaternion: str, said: str
-) -> None:
+def test_a_quaternion_that_is_no_rotation_is_named(log, tmp_path, quaternion, said):
     stamps = load_scans(log).stamps
     path = tmp_path / "t.tum"
     lines = [f"{stamp:.6f} 4 8 0 0 0 0 1" for stamp in stamps]
@@ -236,9 +229,7 @@ def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried
     [lambda _: np.nan, lambda r: np.linspace(0.09, 0.11, len(r)), lambda last: last],
     ids=["nan", "covered", "frozen"],
 )
-def test_a_blind_robot_gives_no_pose(
-    tmp_path: Path, ranges: Callable[[FloatArray], object], carried: bool
-) -> None:
+def test_a_blind_robot_gives_no_pose(tmp_path, ranges, carried):
     path = in_the_dark(tmp_path, ranges, carried=carried)
     run = call("track", MAP, path, "--json", "--tum", tmp_path / "a.tum").ends(0)
     got, truth = rows(run.out), load_scans(path).poses

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ALL_METHODS, METHODS, ConfigError, LaserScan, MapFeatures, OccupancyGrid, Options
 from imgloc.features.budget import (
     MIB,
     available_bytes,
@@ -16,9 +16,6 @@ from imgloc.features.budget import (
     stack_bytes,
     surface_count,
 )
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import ALL_METHODS, METHODS, Options
 from imgloc.pipeline import localize
 from imgloc.search.asked import answer_bytes
 
@@ -87,9 +84,7 @@ def test_features_and_answer_take_no_more_than_estimated(method: str) -> None:
     assert taken <= features.bytes_for(method) + answer_bytes(features, options)
 
 
-def test_the_budget_of_the_options_is_that_of_the_ray_distances(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_budget_of_the_options_is_that_of_the_ray_distances(monkeypatch):
     monkeypatch.setattr("imgloc.features.budget.available_bytes", lambda: 0)
     features = MapFeatures(office(1, 0.1), n_rays=24)
     with pytest.raises(ConfigError, match=r"24 directions x 50 x 50 cells, needs 1 MiB of memory"):

@@ -103,9 +103,7 @@ def image_of(grey: np.ndarray, name: str) -> bytes:
 
 
 @pytest.mark.parametrize("name", ["flat.png", "rgba16.png", "grey.pgm", "P3.ppm", "rgb.bmp"])
-def test_loading_a_map_takes_no_more_than_estimated(
-    name: str, resident: Callable[..., int], tmp_path: Path
-) -> None:
+def test_loading_a_map_takes_no_more_than_estimated(name, resident, tmp_path):
     side = 1000
     grey = np.random.default_rng(0).integers(0, 256, (side, side), dtype=np.uint8)
     grey[:, :: 1 if "flat" in name else side] = 254
@@ -145,9 +143,7 @@ def write_scans(path: Path, count: int, rays: int, kind: str) -> None:
         ("s.json", 1500, 360, ""),
     ],
 )
-def test_loading_scans_takes_no_more_than_estimated(
-    name: str, count: int, rays: int, kind: str, resident: Callable[..., int], tmp_path: Path
-) -> None:
+def test_loading_scans_takes_no_more_than_estimated(name, count, rays, kind, resident, tmp_path):
     small, large = tmp_path / f"small_{name}", tmp_path / name
     write_scans(small, 2, 2, kind)
     write_scans(large, count, rays, kind)

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, OrientedPoints
 from imgloc.features.fields import bmap, vmap
-from imgloc.model import OrientedPoints
 
 
 def points(xy, alpha, valid=None):

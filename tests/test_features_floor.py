@@ -8,9 +8,8 @@ import pytest
 from command import MAPS, call, rows
 
 import imgloc
-from imgloc import LaserScan
+from imgloc import Evidence, Floor, LaserScan
 from imgloc.features.floor import as_located, floors, left_out
-from imgloc.model import Evidence, Floor
 
 ANGLES = np.deg2rad(np.arange(-180.0, 180.0))
 

@@ -4,13 +4,11 @@ import naive
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, MapFeatures, OccupancyGrid
 from imgloc.features.fields import vmap
 from imgloc.features.gradients import vmap_of_image
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.surface import surface_points
 from imgloc.geometry import wrap
-from imgloc.model import OccupancyGrid
 
 
 def angle_of(field):

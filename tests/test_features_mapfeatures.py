@@ -5,15 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, MapFeatures, OccupancyGrid
 from imgloc.features import mapfeatures
 from imgloc.features.fields import bmap, vmap
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.raydistance import ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
-from imgloc.model import OccupancyGrid
 from imgloc.simulation.worlds import WORLDS, render
 
 

@@ -1,7 +1,7 @@
 """Ray-distance images against rays walked one by one, and where walls could leak."""
 
 import cv2
-import naive_visibility as naive
+import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import MapFeatures, OccupancyGrid, Pose2D
 from imgloc.features.store import (
     KEPT,
     features_from_arrays,
@@ -17,7 +17,6 @@ from imgloc.features.store import (
     save_features,
 )
 from imgloc.io.cache import entry_path, store_entry
-from imgloc.model import OccupancyGrid, Pose2D
 
 PARAMETERS = {"n_psi": 24, "horizon": 5.0, "max_range": 5.0}
 
@@ -81,9 +80,7 @@ def test_missing_features_are_computed(grid: OccupancyGrid, arrays: dict) -> Non
 
 @pytest.mark.parametrize("name", ["walls", "visibility", "surface.xy", "pyramid.image1", "vmap"])
 @pytest.mark.parametrize("fault", ["shape", "type", "axes", "scalar"])
-def test_arrays_that_do_not_fit_are_refused(
-    grid: OccupancyGrid, arrays: dict, name: str, fault: str
-) -> None:
+def test_arrays_that_do_not_fit_are_refused(grid, arrays, name, fault):
     array = arrays[name]
     bad = {
         "shape": array[..., :-1],
@@ -141,9 +138,7 @@ def test_second_start_finds_what_the_first_computed(grid: OccupancyGrid, tmp_pat
     assert not vars(load_features(grid, tmp_path / "nowhere", PARAMETERS)).keys() & set(KEPT)
 
 
-def test_an_entry_of_wrong_shapes_is_computed_anew(
-    grid: OccupancyGrid, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_entry_of_wrong_shapes_is_computed_anew(grid, tmp_path, caplog):
     features = MapFeatures(grid, **PARAMETERS)
     key = features_key(features)
     store_entry(tmp_path, key, {"walls": np.zeros((2, 2), np.float32)})

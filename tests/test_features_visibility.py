@@ -1,7 +1,7 @@
 """The visibility map of GHT-V: by casting rays and by unwrapping the image, beside Alg. 6."""
 
 import cv2
-import naive_visibility as naive
+import naive
 import numpy as np
 import pytest
 

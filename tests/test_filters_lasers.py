@@ -10,13 +10,11 @@ import pytest
 from command import MAPS, call, rows
 from places import POSES, error, features_of
 
-from imgloc.filters.choose import make_filter
+from imgloc import Every, LaserScan, Options, Pose2D, ScanSet, follow, make_filter
 from imgloc.filters.evidence import NO_PLACES, search, sight, view_of
-from imgloc.filters.follow import follow, robot_poses
+from imgloc.filters.follow import robot_poses
 from imgloc.filters.motion import compose_poses, noisy_odometry
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D, compose
-from imgloc.options import Every, Options
+from imgloc.model import compose
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -65,8 +63,6 @@ def log(*mounts: Pose2D) -> ScanSet:
 def carmen(path: Path) -> Path:
     """The log of both as CARMEN writes it."""
     scans = log(FRONT, REAR)
-    assert scans.stamps is not None
-    assert scans.odom is not None
     lines = [f"PARAM robot_{side}_laser_max {REACH}" for side in ("front", "rear")]
     for scan, stamp, odom in zip(scans.scans, scans.stamps, scans.odom, strict=True):
         assert scan.T_base_laser is not None
@@ -102,7 +98,6 @@ def test_every_filter_follows_the_robot_not_its_lasers(name: str) -> None:
     start = Pose2D(*PATH[0])
     moments = list(follow(features, scans, chosen, start=start, deviation=(0.2, 0.1)))
     truth = robot_poses(scans)
-    assert truth is not None
     np.testing.assert_allclose(truth[::2], PATH)
     worst = max(error(m.best, t)[0] for m, t in zip(moments, truth, strict=True) if m.best)
     assert worst < 0.25

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imgloc import LaserScan, Pose2D, ScanOdometry, load_scans
 from imgloc.filters.motion import compose_poses, increments, invert_poses
-from imgloc.filters.scanodometry import Motion, ScanOdometry
+from imgloc.filters.scanodometry import Motion
 from imgloc.geometry import wrap
-from imgloc.io.scans import load_scans
-from imgloc.model import LaserScan, Pose2D
 
 ANGLES = np.deg2rad(np.linspace(-135, 135, 361))
 # Corners of a room with a niche, and of one elsewhere; walls of a corridor.
@@ -276,7 +275,6 @@ def test_a_recorded_way_with_known_truth(shared: Path) -> None:
         [replace(s, stamp=t, T_base_laser=mount) for s, t in zip(scans, scans.stamps, strict=True)]
     )
     assert not any(m.lost for m in motions)
-    assert scans.odom is not None
     way = np.append(0, np.cumsum(np.hypot(*np.diff(scans.odom[:, :2], axis=0).T)))
     pieces = [(i, int(np.searchsorted(way, way[i] + 5.0))) for i in range(0, len(way), 10)]
     errors = [off(found[[i, j]], true[[i, j]]) for i, j in pieces if j < len(way)]

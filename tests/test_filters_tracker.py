@@ -8,23 +8,18 @@ import numpy as np
 import pytest
 from places import ANGLES, POSES, drive, features_of
 
-from imgloc.answers.sample import sample_poses
+from imgloc import ScanSet, follow, load_map, load_scans, make_filter, prepare, sample_poses
 from imgloc.errors import ConfigError, ScanError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Followed, belief_of, deviations_of
-from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import GATE, NO_PLACES, Places, Sight, settled, view_of
-from imgloc.filters.follow import Follower, follow
+from imgloc.filters.follow import Follower
 from imgloc.filters.motion import compose_poses
 from imgloc.filters.tracker import Tracker, TrackerOptions, _Search
 from imgloc.geometry import transform_poses, wrap
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.options import Every, Options, Shared
-from imgloc.pipeline import prepare
 from imgloc.robot.lasers import Laser
 from imgloc.search.adapt import Told
 from imgloc.simulation.scans import simulate_ranges
@@ -86,8 +81,6 @@ def test_it_is_found_and_published_only_when_unique() -> None:
 
 def test_map_odom_takes_odometry_to_the_map() -> None:
     last = tracked()[-1]
-    assert last.map_odom is not None
-    assert last.best is not None
     at = compose_poses(
         np.array([last.map_odom.x, last.map_odom.y, last.map_odom.theta]), log().odom[-1]
     )
@@ -105,8 +98,6 @@ def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
     for one, other in zip(tracked(), moments, strict=True):
         if not one.looked or not other.looked:
             continue
-        assert one.best is not None
-        assert other.best is not None
         sensor = compose(other.best, mount)
         # Not the same: what odometry may be wrong by is that of the robot's own motion.
         assert one.best.x == pytest.approx(sensor.x, abs=0.03)
@@ -445,9 +436,7 @@ def test_walls_that_are_drawn_too_thick_are_no_scale() -> None:
 
 
 @pytest.mark.parametrize(("spread", "expected"), [(0.0, 1.03), (0.026, 1.03), (0.06, 1.0)])
-def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(
-    monkeypatch: pytest.MonkeyPatch, spread: float, expected: float
-) -> None:
+def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(monkeypatch, spread, expected):
     tracker = tracker_of()
     tracker.options = replace(tracker.options, fused=replace(tracker.options.fused, strained=0.0))
     drawn = iter(1.03 * np.exp(spread * np.array([-1, -0.5, 0, 0, 0.5, 1])))

@@ -7,9 +7,8 @@ import pytest
 from command import MAPS, call
 
 import imgloc
-from imgloc import ScanSet
+from imgloc import Pose2D, ScanSet
 from imgloc.filters.watch import AGREES, CANNOT, DISAGREES, Watch
-from imgloc.model import Pose2D
 from tools.robot.play import START, to_and_fro
 
 OFF = Pose2D(START.x + 3.0, START.y, START.theta)
@@ -39,9 +38,7 @@ def said(features, drive, claims) -> list[tuple[str, Pose2D | None]]:
     return out
 
 
-def test_right_poses_agree_and_a_jump_disagrees_with_the_pose_that_it_would_give(
-    features, drive
-) -> None:
+def test_right_poses_agree_and_a_jump_disagrees_with_the_pose_that_it_would_give(features, drive):
     true = [Pose2D(*row) for row in drive.poses]
     jump = {k: replace(p, x=p.x + 2.0 * (k >= 50)) for k, p in enumerate(true)}
     found = said(features, drive, jump)
@@ -87,9 +84,7 @@ def test_track_says_what_it_thinks_of_a_trajectory(tmp_path, drive) -> None:
     found.ends(4, "late.tum: no pose has a stamp before that of the last scan")
 
 
-def test_a_scan_that_fits_nowhere_outweighs_no_place_that_the_scans_before_hold(
-    features, drive
-) -> None:
+def test_a_scan_that_fits_nowhere_outweighs_no_place_that_the_scans_before_hold(features, drive):
     own = imgloc.Tracking().follower(features, imgloc.Options())
     for scan, odom, stamp in zip(drive.scans[:30], drive.odom, drive.stamps, strict=False):
         moment = own.step(replace(scan, stamp=float(stamp)), odom)
@@ -101,9 +96,7 @@ def test_a_scan_that_fits_nowhere_outweighs_no_place_that_the_scans_before_hold(
         assert [watch.step(odd, None, held, at).said for at in (1.0, 2.0)] == [CANNOT, expected]
 
 
-def test_scans_that_suddenly_do_not_fit_speak_against_what_odometry_alone_holds(
-    features, drive
-) -> None:
+def test_scans_that_suddenly_do_not_fit_speak_against_what_odometry_alone_holds(features, drive):
     own = imgloc.Tracking().follower(features, imgloc.Options())
     moment = own.step(scan := drive.scans[0], drive.odom[0])
     held = replace(moment, belief=replace(moment.belief, verdict="ambiguous"))

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.errors import ScanError
+from imgloc import Pose2D, ScanError, grid_to_msg, load_map, load_scans
 from imgloc.io.bags import read_bag_map
-from imgloc.io.maps import load_map
-from imgloc.io.messages import grid_to_msg
-from imgloc.io.scans import load_scans, scans_size
-from imgloc.model import Pose2D
+from imgloc.io.scans import scans_size
 
 rosbags = pytest.importorskip("rosbags", reason="reads bags: the extra ros")
 
@@ -124,7 +121,6 @@ def test_a_bag_has_scans_odometry_and_where_the_sensor_sits(tmp_path: Path, kind
         np.testing.assert_allclose(scans[0].angles, [-1.5, -0.5, 0.5, 1.5])
         assert (scans[0].range_min, scans[0].range_max) == (pytest.approx(0.1), 30.0)
         assert scans.stamps.tolist() == [10.5, 11.0]
-        assert scans.odom is not None
         np.testing.assert_allclose(scans.odom, [[1.5, 0.5, math.pi], [2.0, 0.5, -3.0]])
         assert scans[0].T_base_laser == Pose2D(0.35, 0.0, 0.0)
         size = scans_size(file)
@@ -175,7 +171,6 @@ def test_odometry_may_be_in_the_transforms_or_nowhere_near(tmp_path: Path) -> No
         ("/scan", SCAN, m.scan(11.0)),
     ]
     scans = load_scans(write(tmp_path / "a", "db3", content))
-    assert scans.odom is not None
     np.testing.assert_allclose(scans.odom, [[2.0, 0.0, 0.0]])
     assert scans[0].T_base_laser == Pose2D(0.2, 0.0, 0.0)
     content[3] = ("/scan", SCAN, m.scan(50.0, "unknown"))
@@ -185,9 +180,7 @@ def test_odometry_may_be_in_the_transforms_or_nowhere_near(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e308])
-def test_odometry_that_cannot_be_is_left_out(
-    tmp_path: Path, value: float, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_odometry_that_cannot_be_is_left_out(tmp_path, value, caplog):
     m, content = messages_of(False), list[tuple[str, str, object]]()
     for k in range(9):
         x = value if k == 4 else 0.1 * k
@@ -199,9 +192,7 @@ def test_odometry_that_cannot_be_is_left_out(
 
 
 @pytest.mark.parametrize(("kind", "saves"), [("bag", "rosbag reindex"), ("mcap", "mcap recover")])
-def test_a_bag_that_was_cut_off_is_told_what_may_save_it(
-    tmp_path: Path, kind: str, saves: str
-) -> None:
+def test_a_bag_that_was_cut_off_is_told_what_may_save_it(tmp_path, kind, saves):
     path = write(tmp_path / ("a.bag" if kind == "bag" else "a"), kind, robot(kind))
     file = path if kind == "bag" else next(path.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[:-300])
@@ -210,9 +201,7 @@ def test_a_bag_that_was_cut_off_is_told_what_may_save_it(
 
 
 @pytest.mark.parametrize("name", ["upload", "A.BAG"])
-def test_a_bag_whose_name_does_not_tell_its_storage_is_not_called_damaged(
-    tmp_path: Path, name: str
-) -> None:
+def test_a_bag_whose_name_does_not_tell_its_storage_is_not_called_damaged(tmp_path, name):
     path = write(tmp_path / "a.bag", "bag", robot("bag")).rename(tmp_path / name)
     with pytest.raises(ScanError, match=r"is a bag, expected a name that ends in \.bag, \.mcap"):
         load_scans(path)
@@ -243,8 +232,6 @@ def test_several_lasers_are_one_set_each_at_its_place(tmp_path: Path) -> None:
     ]
     path = write(tmp_path / "a.bag", "bag", content)
     scans = load_scans(path, topic="/front, rear")
-    assert scans.stamps is not None
-    assert scans.odom is not None
     np.testing.assert_allclose(scans.stamps, [1.0, 1.1, 1.9, 2.0])
     np.testing.assert_allclose(scans.odom[:, 0], [0.0, 0.1, 0.9, 1.0], atol=1e-9)
     front, rear = Pose2D(0.3, 0.0, 0.0), Pose2D(-0.2, 0.0, math.pi)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import imgloc
-from imgloc.errors import ConfigError, OutputError
+from imgloc import ConfigError, OccupancyGrid, OutputError, Pose2D
 from imgloc.io.cache import (
     cache_folder,
     cache_info,
@@ -25,7 +25,6 @@ from imgloc.io.cache import (
     load_entry,
     store_entry,
 )
-from imgloc.model import OccupancyGrid, Pose2D
 
 KEY = "0123456789abcdef0123456789abcdef01234567"
 ARRAYS = {
@@ -86,7 +85,6 @@ def test_arrays_are_mapped_and_aligned(tmp_path: Path) -> None:
     arrays = {"a": np.arange(7, dtype=np.uint8), "b.c": np.ones((300, 50), np.int16), **ARRAYS}
     store_entry(tmp_path, KEY, arrays)
     back = load_entry(tmp_path, KEY)
-    assert back is not None
     for name in arrays:
         assert back[name].ctypes.data % 64 == 0
         base = back[name]
@@ -186,9 +184,7 @@ def damage(path: Path, kind: str) -> None:
         "huge",
     ],
 )
-def test_a_bad_entry_is_none_with_a_warning_and_can_be_replaced(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str
-) -> None:
+def test_a_bad_entry_is_none_with_a_warning_and_can_be_replaced(tmp_path, caplog, kind):
     store_entry(tmp_path, KEY, ARRAYS)
     damage(entry_path(tmp_path, KEY), kind)
     with caplog.at_level(logging.WARNING):
@@ -217,9 +213,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert entry_path(tmp_path, KEY).is_fifo()  # not ours to remove
 
 
-def test_a_folder_that_cannot_be_made_is_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_folder_that_cannot_be_made_is_a_warning(tmp_path, caplog):
     (tmp_path / "file").write_text("in the way")
     assert not store_entry(tmp_path / "file", KEY, ARRAYS)
     assert "cannot be written" in caplog.text
@@ -309,9 +303,7 @@ def test_an_entry_over_the_limit_is_not_stored_and_costs_no_other(tmp_path: Path
     assert not store_entry(tmp_path, small, ONE, limit=0)
 
 
-def test_the_limit_is_an_option_of_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limit_is_an_option_of_the_environment(tmp_path, monkeypatch):
     monkeypatch.delenv("IMGLOC_CACHE_MIB", raising=False)
     assert cache_info(tmp_path).limit == 2048 << 20
     monkeypatch.setenv("IMGLOC_CACHE_MIB", "1")
@@ -325,9 +317,7 @@ def test_the_limit_is_an_option_of_the_environment(
 
 
 @pytest.mark.parametrize(("ago", "kept"), [(3700, False), (3500, True)])
-def test_orphans_are_removed_when_nobody_can_be_at_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ago: float, kept: bool
-) -> None:
+def test_orphans_are_removed_when_nobody_can_be_at_them(tmp_path, monkeypatch, ago, kept):
     monkeypatch.setattr("imgloc.io.cache.__version__", "0.0.0+old")
     old = entry_path(tmp_path, cache_key(grid(), {}))
     store_entry(tmp_path, old.stem, ONE)
@@ -421,9 +411,7 @@ def test_processes_that_evict_one_another_only_miss(tmp_path: Path) -> None:
     assert not [name for name in names(tmp_path) if name.endswith(".tmp")]
 
 
-def test_an_entry_that_goes_while_it_is_looked_for_is_a_miss(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_entry_that_goes_while_it_is_looked_for_is_a_miss(tmp_path, monkeypatch, caplog):
     store_entry(tmp_path, KEY, ONE)
     real = os.path.lexists
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.errors import OutputError
+from imgloc import Calibration, OccupancyGrid, Options, OutputError, Pose2D, Shared
 from imgloc.io.calibration import (
     calibrated,
     calibration_path,
@@ -15,8 +15,6 @@ from imgloc.io.calibration import (
     map_hash,
     save_calibrations,
 )
-from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.options import Calibration, Options, Shared
 
 WALL = np.eye(4, dtype=bool)
 GRID = OccupancyGrid(WALL, ~WALL, 0.1)
@@ -88,9 +86,7 @@ def values(sigma_xy: float, temperature: object) -> dict[str, object]:
         ({"methods": {"ght": values(float("nan"), 1)}}, "methods.ght.sigma_xy: got nan, expected"),
     ],
 )
-def test_a_damaged_file_is_not_used(
-    path: Path, change: dict[str, object], expected: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_file_is_not_used(path, change, expected, caplog):
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     assert load_calibrations(path, GRID) == ({}, Shared())
     assert expected in caplog.text
@@ -98,9 +94,7 @@ def test_a_damaged_file_is_not_used(
 
 @pytest.mark.parametrize("value", ["1e999", "9" * 400, "[" * 900, "null", '"\\ud800"'])
 @pytest.mark.parametrize("key", ["shared", "scale", "thinner", "about"])
-def test_numbers_that_no_float_holds_are_a_warning(
-    path: Path, key: str, value: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_numbers_that_no_float_holds_are_a_warning(path, key, value, caplog):
     content = json.loads(path.read_text()) | {"shared": {"scale": 1.0, "thinner": 0}}
     of = content if key in content else content["shared"]
     of[key] = "HERE"
@@ -113,9 +107,7 @@ def test_numbers_that_no_float_holds_are_a_warning(
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b"[" * 100_000, b" " * 2**21])
-def test_what_is_no_such_file_is_not_used(
-    path: Path, content: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_is_no_such_file_is_not_used(path, content, caplog):
     path.write_bytes(content)
     assert load_calibrations(path, GRID) == ({}, Shared())
     assert len(caplog.records) == 1

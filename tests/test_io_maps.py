@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from badfiles import YAML, chunk, encode, png, room, yaml_with
 
-from imgloc.errors import ConfigError, MapError, OutputError
-from imgloc.io.mapcheck import check_map
+from imgloc import ConfigError, MapError, OccupancyGrid, OutputError, Pose2D, check_map
 from imgloc.io.maps import load_map, require_usable, save_map
-from imgloc.model import OccupancyGrid, Pose2D
 
 
 def classes(grid: OccupancyGrid) -> list[str]:

@@ -8,9 +8,8 @@ from badfiles import YAML, yaml_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imgloc.errors import MapError
+from imgloc import MapError, Pose2D
 from imgloc.io.mapyaml import MapYaml, load_map_yaml, parse_map_yaml
-from imgloc.model import Pose2D
 
 
 def parse(text: str) -> MapYaml:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imgloc.errors import ConfigError, MapError, ScanError
+from imgloc import ConfigError, LaserScan, MapError, Pose2D, ScanError
 from imgloc.io import messages
-from imgloc.model import LaserScan, Pose2D
 
 STAMP = {"sec": 12, "nanosec": 250_000_000}
 HEADER = {"stamp": STAMP, "frame_id": "laser"}

@@ -79,9 +79,7 @@ def test_an_address_is_read_as_the_file_that_it_names(form: str, address: str, t
     assert f"next        imgloc localize {a_map} {scans} --" in call("inspect", a_map, scans).out
 
 
-def test_a_list_names_files_beside_it_and_elsewhere(
-    address: str, there: Path, tmp_path: Path
-) -> None:
+def test_a_list_names_files_beside_it_and_elsewhere(address, there, tmp_path):
     call("batch", f"{address}/pairs.csv", "--out", tmp_path / "a", "--workers", 1).ends(0)
     pairs = f"map,scans\n{address}/a.yaml,zip://in/a.npz::{there}/all.zip\n"
     (tmp_path / "here.csv").write_text(pairs)
@@ -91,9 +89,7 @@ def test_a_list_names_files_beside_it_and_elsewhere(
 @pytest.mark.parametrize(("name", "why"), [
     ("none.yaml", "no such file"), ("all.zip/none", "no such file"), ("endless", "at most"),
 ])  # fmt: skip
-def test_what_cannot_be_had_is_one_error(
-    name: str, why: str, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_had_is_one_error(name, why, address, monkeypatch):
     monkeypatch.setattr(remote, "MOST_BYTES", 1 << 20)
     run = call("localize", f"{address}/{name}", "a.npz")
     assert (run.code, f"{address}/{name}: " in run.err) == (3, True), run
@@ -103,9 +99,7 @@ def test_what_cannot_be_had_is_one_error(
 
 
 @pytest.mark.parametrize("image", ["../stolen.png", "/tmp/stolen.png", "images/../../stolen.png"])
-def test_a_yaml_elsewhere_writes_nothing_beside_its_copy(
-    image: str, there: Path, address: str
-) -> None:
+def test_a_yaml_elsewhere_writes_nothing_beside_its_copy(image, there, address):
     text = f"image: {image}\nresolution: 0.1\norigin: [0, 0, 0]\n"
     (there / "b.yaml").write_text(text)
     shutil.copy(MAPS / "curved.png", there / "stolen.png")

@@ -12,10 +12,9 @@ from badfiles import npz
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imgloc.errors import ConfigError, OutputError, ScanError
-from imgloc.io.scans import SCAN_ENDINGS, load_scans, read_npz, save_scans, write_npz
+from imgloc import ConfigError, LaserScan, OutputError, Pose2D, ScanError, load_scans, save_scans
+from imgloc.io.scans import SCAN_ENDINGS, read_npz, write_npz
 from imgloc.io.scanset import ScanSet, collect
-from imgloc.model import LaserScan, Pose2D
 
 ANGLES = np.linspace(-1.5, 1.5, 4)
 RANGES = np.array([[1.0, np.nan, np.inf, 3.0], [0.01, -np.inf, 81.9, 2.5]])
@@ -256,9 +255,7 @@ GOOD = write_npz(a_set(poses=np.zeros((3, 3))))
 
 
 @given(data=st.data())
-def test_every_truncation_of_an_npz_is_refused(
-    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_every_truncation_of_an_npz_is_refused(data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "t.npz"
     path.write_bytes(GOOD[: data.draw(st.integers(0, len(GOOD) - 1))])
     with pytest.raises(ScanError, match=r"t\.npz: "):
@@ -278,9 +275,7 @@ def test_no_single_byte_can_take_range_max_away(tmp_path: Path) -> None:
 
 
 @given(data=st.data())
-def test_a_damaged_npz_gives_the_same_ranges_or_an_error(
-    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_damaged_npz_gives_the_same_ranges_or_an_error(data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "d.npz"
     bad = bytearray(GOOD)
     for _ in range(data.draw(st.integers(1, 3))):

@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from imgloc.errors import ConfigError
+from imgloc import METHODS, Calibration, ConfigError, GridInfo, Likelihood
 from imgloc.likelihoods.posterior import calibrated, circular_kernel, posterior, smooth
-from imgloc.model import GridInfo, Likelihood
-from imgloc.options import DEFAULTS, LOG_METHODS, METHODS, Calibration
+from imgloc.options import DEFAULTS, LOG_METHODS
 
 VOTES = sorted(set(METHODS) - LOG_METHODS)
 FREE = np.ones((5, 7), bool)

@@ -4,11 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, OrientedPoints
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.correlate import EXACT
-from imgloc.model import OrientedPoints
 
 seeds = st.integers(0, 2**32 - 1)
 every_engine = pytest.mark.parametrize("engine", EXACT)

@@ -4,9 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, OrientedPoints
 from imgloc.likelihoods.ght import BLOCK_COLUMNS, BLOCK_PAIRS, ght, ght_v
-from imgloc.model import OrientedPoints
 
 seeds = st.integers(0, 2**32 - 1)
 N_PSI = 24

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, Options, Prior
 from imgloc.model import (
     Evidence,
     GridInfo,
@@ -21,7 +21,6 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
-from imgloc.options import Options, Prior
 
 INF, NAN = float("inf"), float("nan")
 

@@ -30,6 +30,7 @@ LEFT = {
     ),
     "a unit, a pattern, nothing": "_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS LOG_VOLUME",
     "a promise": "SCALES SHARES DEEPEST TOLERANCES",
+    "what evo has, whose figures ours are compared with": "_APART",
     "bounds of files, pictures, clocks": (
         "_SIDE _BARS _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),

@@ -3,15 +3,13 @@
 import hashlib
 import json
 import math
-import subprocess
-import sys
 from collections import Counter, defaultdict
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, ROOT, SAFE, call, spawn
+from command import MAIN, MAPS, call, spawn
 
 import imgloc
 from imgloc.model import LaserScan, Pose2D
@@ -83,7 +81,7 @@ def test_a_unique_pose_is_a_pose_and_a_transform(tmp_path) -> None:
     scan = LaserScan([1.0, 2.0], [0.0, 0.5], T_base_laser=Pose2D(0.5, 0.0, 0.0))
     recording = Recording(imgloc.load_map(MAP), ["/front", "1"])
     for laser in ("/front", "1"):
-        recording.add(replace(scan, laser=laser), moment)
+        recording.add(moment, replace(scan, laser=laser))
     recording.save(tmp_path / "one.mcap")
     recording.close()
     found = read(tmp_path / "one.mcap")
@@ -128,11 +126,6 @@ def test_uneven_angles_are_those_of_the_nearest_rays() -> None:
 
 
 def test_without_rosbags_one_error_says_what_to_install(tmp_path, log) -> None:
-    program = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['rosbags.rosbag1'] = None\n"
-        f"import imgloc.cli.app as a\n"
-        f"a.main(['track', {str(MAP)!r}, {str(log)!r}, '--mcap', {str(tmp_path / 'o.mcap')!r}])"
-    )
-    done = subprocess.run([sys.executable, *SAFE, "-c", program], capture_output=True, timeout=60)
-    assert done.returncode == 1
-    assert b"pip install 'imgloc[ros]'" in done.stderr
+    code = f"sys.modules['rosbags.rosbag1'] = None; {MAIN}"
+    run = spawn("track", MAP, log, "--mcap", tmp_path / "o.mcap", code=code)
+    run.ends(1, "pip install 'imgloc[ros]'")

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from places import answer_of, features_of, room_with_a_post, scan_of
 
-from imgloc.answers.explain import KINDS, RayFit, explain
-from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import Options
+from imgloc import Hypothesis, LaserScan, OccupancyGrid, Options, Pose2D, explain, localize, prepare
+from imgloc.answers.explain import KINDS, RayFit
 from imgloc.output.canvas import INK, PAPER, SHADE
 from imgloc.output.pages import DRAWN, HEADLINES, render_explanation
 from imgloc.output.pictures import draw_likelihood
@@ -26,7 +25,6 @@ from imgloc.output.svg import (
     map_image,
     window,
 )
-from imgloc.pipeline import localize, prepare
 
 VOID = {"meta", "img", "br"}
 LOOSE = {"p", "li", "td", "th", "tr", "dt", "dd"}  # HTML closes them by itself

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from imgloc.errors import OutputError
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import MapFeatures, OutputError, Picture, draw
 from imgloc.geometry import transform_points
 from imgloc.io.images import encode_png
 from imgloc.model import (
@@ -31,7 +30,6 @@ from imgloc.output.canvas import (
     TRUTH,
     TURQUOISE,
     Part,
-    Picture,
     building,
     map_canvas,
     sheet,
@@ -46,14 +44,7 @@ from imgloc.output.features import (
     draw_surface,
     draw_visibility,
 )
-from imgloc.output.pictures import (
-    _likelihood,
-    _numbers,
-    draw,
-    draw_hypotheses,
-    draw_likelihood,
-    mosaic,
-)
+from imgloc.output.pictures import _likelihood, _numbers, draw_hypotheses, draw_likelihood, mosaic
 from imgloc.output.plots import AREA, ROBOT, Bar, _Sheet, framed
 
 

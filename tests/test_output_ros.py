@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 import yaml
 
-from imgloc.errors import OutputError
-from imgloc.filters.belief import Belief
-from imgloc.filters.follow import Moment
+from imgloc import Belief, Moment, OutputError, Pose2D
 from imgloc.geometry import transform_poses
-from imgloc.model import Pose2D
 from imgloc.output.ros import (
     ARRAY,
     GUESSES,

@@ -5,9 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from imgloc import OccupancyGrid, Pose2D, prepare
-from imgloc.filters.belief import UNIQUE, Belief
-from imgloc.filters.follow import Moment
+from imgloc import Belief, Moment, OccupancyGrid, Pose2D, prepare
+from imgloc.filters.belief import UNIQUE
 from imgloc.output.tracks import OFF, Video, draw_track
 
 

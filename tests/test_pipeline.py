@@ -8,19 +8,15 @@ import pytest
 from command import MAPS
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from places import ANGLES, answer_of, error, features_of, grid_of, room_with_a_post, scan_of
+from places import ANGLES, answer_of, error, features_of, grid_of, hall, room_with_a_post, scan_of
 
-from imgloc.errors import ConfigError, MapError
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import ConfigError, MapError, MapFeatures, likelihood, load_map, load_scans, simulate
 from imgloc.geometry import in_map_frame, rotate_covariance, wrap
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse, to_json
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import localize, localize_many, prepare
 from imgloc.search.modes import lead
-from imgloc.simulation.scans import simulate, simulate_ranges
+from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
@@ -64,8 +60,7 @@ def test_a_scan_of_another_place_is_no_match(method):
 
 @pytest.mark.parametrize("top", [1, 2, 5])
 def test_a_room_that_looks_alike_from_both_ends_is_ambiguous(top):
-    wall = np.pad(np.zeros((30, 50), bool), 2, constant_values=True)
-    grid = OccupancyGrid(wall, ~wall, 0.1)
+    grid = hall(30, 50)
     pose, twin = (1.7, 1.3, 0.4), (5.4 - 1.7, 3.4 - 1.3, 0.4 - np.pi)
     ranges = simulate_ranges(grid, [pose], ANGLES, sigma=0.0, range_max=20.0)[0]
     answer = localize(prepare(grid), LaserScan(ranges, ANGLES, range_max=20.0), Options(top=top))

@@ -6,18 +6,14 @@ import numpy as np
 import pytest
 from places import ANGLES, POSES, answer_of, facts, features_of, grid_of, scan_of
 
-from imgloc.answers.explain import explain
-from imgloc.answers.sample import sample_poses
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, explain, likelihood, localize, prepare, sample_poses, simulate
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import Calibration, Options, Prior, Sensor, Shared, Trust
 from imgloc.output.pages import svg  # with its filters
-from imgloc.pipeline import localize, prepare
 from imgloc.search.answer import log_volume
 from imgloc.search.stacked import posterior_of
-from imgloc.simulation.scans import simulate, simulate_ranges
+from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 from places import POSES, answer_of, error, facts, features_of, grid_of, scan_of
 
-from imgloc.errors import ConfigError
+from imgloc import ALL_METHODS, METHODS, ConfigError, Options, likelihood, localize, prepare
 from imgloc.features.budget import stack_bytes
 from imgloc.geometry import cell_of, uniform_thetas, wrap
 from imgloc.likelihoods.posterior import posterior
-from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import VERDICTS
-from imgloc.options import ALL_METHODS, AT_MOST, METHODS, Options
-from imgloc.pipeline import localize, prepare
+from imgloc.options import AT_MOST
 from imgloc.simulation.worlds import WORLDS
 
 

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from command import MAPS, ROOT
+from command import MAPS, ROOT, spawn
 
 import imgloc
 from imgloc import LaserScan, Options, Pose2D
@@ -49,7 +49,7 @@ def test_no_module_hides_a_function_of_its_name():
         "    if not m.name.endswith('__main__'): importlib.import_module(m.name)\n"
         f"assert all(callable(getattr(imgloc, n)) for n in {sorted(FUNCTIONS)!r})\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=120)
+    spawn(code=code).ends(0)
 
 
 @pytest.fixture(scope="module")

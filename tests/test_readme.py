@@ -15,12 +15,8 @@ import typer
 from command import ROOT, call, params_of, tree
 from places import room_with_a_post
 
+from imgloc import Pose2D, Sensor, load_scans, save_map, save_scans, simulate
 from imgloc.cli import app
-from imgloc.io.maps import save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.model import Pose2D
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
 
 README = (ROOT / "README.md").read_text("utf-8")
 PAGES = {"README.md": README}
@@ -141,8 +137,6 @@ def test_the_lines_that_convert_a_log_make_scans_of_it(tmp_path: Path, monkeypat
     (block,) = re.findall(r"^```python\n(.*?)^```", PAGES["logs.md"], re.MULTILINE | re.DOTALL)
     exec(block, {})
     scans = load_scans("own.csv")
-    assert scans.stamps is not None
-    assert scans.odom is not None
     assert scans.stamps.tolist() == [12.5, 13.5]
     assert scans.odom[1].tolist() == pytest.approx([1.1, 2, np.pi / 2], abs=1e-5)
     assert scans[1].ranges.tolist() == [2.31, 2.3, 1.03]

@@ -9,16 +9,11 @@ import numpy as np
 import pytest
 from command import MAPS
 
+from imgloc import BatchSummary, Evidence, Options, ScanSet, Sensor, prepare, run_batch, save_scans
 from imgloc.answers.diagnose import doubts
 from imgloc.errors import as_options
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import Evidence
-from imgloc.options import Options, Sensor
 from imgloc.output.report import render_report
 from imgloc.output.tables import batch_text
-from imgloc.pipeline import prepare
-from imgloc.runs.batch import BatchSummary, run_batch
 from imgloc.runs.hints import Doubtful
 from imgloc.runs.jobs import Item
 from imgloc.runs.results import read_rows
@@ -100,9 +95,7 @@ def test_doubtful_items_are_of_many_files_and_maps(found: tuple[Path, BatchSumma
 
 
 @pytest.mark.parametrize(("lost", "tried"), [(15, 0), (25, 12)])
-def test_a_file_of_one_scan_is_doubtful_where_most_are(
-    found: tuple[Path, BatchSummary], lost: int, tried: int
-) -> None:
+def test_a_file_of_one_scan_is_doubtful_where_most_are(found, lost, tried):
     rows = {(row["map"], row["scans"]): row for row in read_rows(found[0] / "out")}
     good, bad = (rows["curved", name] for name in ("good.npz", "mm.npz"))
     items = [Item("curved", f"f{k}.npz", ()) for k in range(40)]
@@ -115,9 +108,7 @@ def test_a_file_of_one_scan_is_doubtful_where_most_are(
 
 
 @pytest.mark.parametrize("error", [{"scale": 1.04}, {"thinner": 2}])
-def test_a_few_scans_that_are_bent_are_no_reason_to_say_so(
-    found: tuple[Path, BatchSummary], error: dict[str, float]
-) -> None:
+def test_a_few_scans_that_are_bent_are_no_reason_to_say_so(found, error):
     folder, _ = found
     rows = {(row["map"], row["scans"]): row for row in read_rows(folder / "out")}
     good = rows["curved", "good.npz"]
@@ -158,9 +149,7 @@ def test_where_several_places_fit_as_they_are_nothing_else_is_tried() -> None:
         (("unique",) * 2 + ("no-match",) * 4 + ("ambiguous",) * 4, 2.0, 1),
     ],
 )
-def test_what_is_looked_at_again_is_what_is_doubtful(
-    found: tuple[Path, BatchSummary], verdicts: tuple[str, ...], misfit: float, looked_at: int
-) -> None:
+def test_what_is_looked_at_again_is_what_is_doubtful(found, verdicts, misfit, looked_at):
     row = next(read_rows(found[0] / "out"))
     answers = [
         answer | {"verdict": verdict, "evidence": answer["evidence"] | {"misfit": misfit}}

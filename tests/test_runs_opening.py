@@ -8,13 +8,9 @@ import pytest
 from command import call
 from test_features_budget import office, peak
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, Options, Pose2D, Sensor, prepare, simulate
 from imgloc.features.budget import PROCESS
-from imgloc.model import Pose2D
-from imgloc.options import Options, Sensor
-from imgloc.pipeline import prepare
 from imgloc.runs.opening import Desk, ScanFiles
-from imgloc.simulation.scans import simulate
 
 
 def least(check: Callable[[Desk], None]) -> int:
@@ -41,9 +37,7 @@ def test_each_process_takes_the_answer_itself_and_the_map() -> None:
 
 
 @pytest.mark.parametrize(("rooms", "count"), [(2, 2000), (8, 2)])
-def test_scans_that_are_simulated_at_once_take_no_more_than_estimated(
-    rooms: int, count: int
-) -> None:
+def test_scans_that_are_simulated_at_once_take_no_more_than_estimated(rooms, count):
     grid = office(rooms)
     taken = peak(lambda: simulate(grid, count, 0, Sensor(rays=91)))
     need = least(lambda desk: desk.check_simulation(grid, "office", count, 91))

@@ -6,16 +6,12 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+from walls import bent, redrawn
 
-from imgloc import pipeline
-from imgloc.answers.explain import explain
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import LaserScan, MapFeatures, OccupancyGrid, draw, explain, localize, pipeline
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Drawn, FusedOptions, Options, Sensor, Shared
-from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
-from imgloc.pipeline import localize
 from imgloc.search.adapt import BENT, Told, adapt, drawn_gain, drawn_walls, judged, told_by
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import score_readings
@@ -46,21 +42,12 @@ def thick_features():
 def thick(grid):
     """The map with walls that are 0.2 m thicker on each side."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    occupied = cv2.dilate(grid.occupied.astype(np.uint8), disc) > 0
-    return replace(grid, occupied=occupied, free=grid.free & ~occupied)
+    return redrawn(grid, cv2.dilate(grid.occupied.astype(np.uint8), disc) > 0)
 
 
-def bent(grid):
+def bent_map():
     """The map as somebody else draws it: each block of 2 m stands 0.2 m off, any way."""
-    occupied, rng = np.zeros_like(grid.occupied), np.random.default_rng(5)
-    for row in range(0, len(occupied), 20):
-        for column in range(0, occupied.shape[1], 20):
-            dy, dx = rng.choice([-2, 2], 2)
-            there = np.argwhere(grid.occupied[row : row + 20, column : column + 20])
-            y, x = (there + [row + dy, column + dx]).T
-            inside = (y >= 0) & (x >= 0) & (y < len(occupied)) & (x < occupied.shape[1])
-            occupied[y[inside], x[inside]] = True
-    return replace(grid, occupied=occupied, free=grid.free & ~occupied)
+    return redrawn(world()[0], bent(world()[0], 20))
 
 
 def walls_in(features, scans=None):
@@ -71,7 +58,7 @@ def walls_in(features, scans=None):
 
 
 def test_walls_that_others_drew_are_taken_for_bent_by_one_scan():
-    drawn = MapFeatures(thick(bent(world()[0])))
+    drawn = MapFeatures(thick(bent_map()))
     assert drawn.thickness == pytest.approx(0.5, abs=0.05)
     for scan, pose in zip(world()[1].scans, world()[1].poses, strict=True):
         answer, plain = (localize(drawn, scan, o) for o in (Options(), AS_IT_IS))
@@ -83,7 +70,7 @@ def test_walls_that_others_drew_are_taken_for_bent_by_one_scan():
         assert words in answer_text("scan", answer)
 
 
-@pytest.mark.parametrize("make", [lambda: thick(world()[0]), lambda: bent(world()[0])])
+@pytest.mark.parametrize("make", [lambda: thick(world()[0]), bent_map])
 def test_walls_are_not_bent_if_thick_ones_stand_right_or_the_image_has_thin_ones(make):
     there = MapFeatures(make())
     for scan in world()[1].scans:
@@ -125,7 +112,7 @@ def test_where_no_sensor_can_be_nothing_speaks_for_bent_walls():
 def test_scans_tell_together_what_walls_a_map_has():
     assert walls_in(features()) == Shared()
     assert walls_in(thick_features()) == Shared(thinner=2)
-    assert walls_in(MapFeatures(bent(world()[0]))).bent == BENT
+    assert walls_in(MapFeatures(bent_map())).bent == BENT
     scaled = walls_in(features(), [scan.scaled(1 / 1.04) for scan in world()[1].scans])
     assert scaled.scale == pytest.approx(1.04, abs=0.01)
     assert replace(scaled, scale=1.0) == Shared()

@@ -6,13 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import features_of, scan_of
 
+from imgloc import Known, LaserScan, OccupancyGrid, Options, localize, prepare
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import EvidenceModel, Known, Options
-from imgloc.pipeline import localize, prepare
+from imgloc.options import EvidenceModel
 from imgloc.search.background import best_room, unmapped_score
 from imgloc.search.priors import prior_of
 

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.options import Options, Sensor, Shared
-from imgloc.pipeline import localize
+from imgloc import MapFeatures, Options, Sensor, Shared, localize, simulate
 from imgloc.search.adapt import price
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 

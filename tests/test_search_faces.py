@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import MapFeatures, OccupancyGrid, Options, Prior, Shared
 from imgloc.features.scanpoints import Readings
 from imgloc.io.calibration import calibration_path, load_calibrations, save_calibrations
-from imgloc.model import OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import Options, Prior, Shared
 from imgloc.search.faces import any_depth, depth_of, faces_met, on_faces
 from imgloc.search.modes import Modes
 from imgloc.search.rescore import score_poses

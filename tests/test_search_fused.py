@@ -9,12 +9,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import FusedOptions, LaserScan, MapFeatures, OccupancyGrid, Options, Pose2D
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import FusedOptions, Options
 from imgloc.pipeline import find_modes, propose
 from imgloc.search.modes import separate
 from imgloc.search.rescore import Scores, score_poses, score_things, shortlist

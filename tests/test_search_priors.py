@@ -7,20 +7,11 @@ import numpy as np
 import pytest
 
 import imgloc
-from imgloc.errors import ConfigError
+from imgloc import ALL_METHODS, ConfigError, FusedOptions, Known, Options, Prior, Sensor, simulate
 from imgloc.features.pyramid import Level
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.model import GridInfo, LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import (
-    ALL_METHODS,
-    RADIUS,
-    TOLERANCE,
-    FusedOptions,
-    Known,
-    Options,
-    Prior,
-    Sensor,
-)
+from imgloc.options import RADIUS, TOLERANCE
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import (
     ASTRAY,
@@ -32,7 +23,6 @@ from imgloc.search.priors import (
     pyramid_levels,
     ranked,
 )
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 # One row, 1 m cells: the sensor may be in the second and third.

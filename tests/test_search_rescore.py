@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc import FusedOptions, MapFeatures, OccupancyGrid, Options, Shared
 from imgloc.features.distance import distance_field, distance_image
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings
-from imgloc.model import OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import Bending, EvidenceModel, FusedOptions, Options, Shared
+from imgloc.options import Bending, EvidenceModel
 from imgloc.search.refine import endpoints
 from imgloc.search.rescore import (
     hit_density,

@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError, MapError
+from imgloc import ConfigError, MapError, OccupancyGrid, Pose2D, Sensor, simulate
 from imgloc.geometry import cell_of
-from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.simulation.scans import (
-    Sensor,
-    refine_grid,
-    sample_free_poses,
-    simulate,
-    simulate_ranges,
-)
+from imgloc.simulation.scans import refine_grid, sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 

@@ -6,10 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, Pose2D, load_map
 from imgloc.geometry import cell_of, transform_points
-from imgloc.io.maps import load_map
-from imgloc.model import Pose2D
 from imgloc.simulation.worlds import NICHE, NICHES, WORLDS, World, render
 from tools.make_maps import make_maps
 

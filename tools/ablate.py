@@ -353,12 +353,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure what is not there yet, print; return the exit code."""
     from tools.script import at_least_one, ended, one_of, parser_of
 
-    parser = parser_of("tools.ablate", __doc__)
+    parser = parser_of("tools.ablate", __doc__, seed=11)
     parser.add_argument("steps", nargs="*", help=f"of: {', '.join(STEPS)} (default: all)")
     parser.add_argument("--sets", nargs="*", default=[], help="maps with a scans.npz beside them")
     parser.add_argument("--worlds", default="double_wall,visibility,large,curved,corridor")
     parser.add_argument("-n", type=int, default=30, help="scans of each (default: 30)")
-    parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
     parser.add_argument(
         "--pieces",

@@ -16,11 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from imgloc import Options, ScanSet, make_filter
+from imgloc import Every, LaserScan, Limits, Options, Pose2D, ScanSet, make_filter, prepare
 from imgloc.filters.follow import robot_poses
-from imgloc.model import LaserScan, Pose2D
-from imgloc.options import Every, Limits
-from imgloc.pipeline import prepare
 from tools.filters import WRONG, Run, Searches, drive, driven, parser_of_logs, piece, write_rows
 from tools.script import progress, table_lines
 from tools.sequences import load_log

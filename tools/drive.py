@@ -111,11 +111,10 @@ def write_movie(path: Path, frames: list[Image]) -> None:
 
 def main() -> None:
     """Make the log, follow it, draw it."""
-    parser = parser_of("tools.drive", __doc__)
+    parser = parser_of("tools.drive", __doc__, seed=1)
     parser.add_argument("--out", type=Path, required=True, help="PNG to write")
     parser.add_argument("--log", type=Path, help="NPZ to write: for imgloc track")
     parser.add_argument("--movie", type=Path, help="WebP to write: each second scan")
-    parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     log = drive(given.seed)
     if given.log is not None:

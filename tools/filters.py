@@ -19,21 +19,17 @@ from typing import Any
 import numpy as np
 
 import imgloc
-from imgloc.errors import ConfigError
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
-from imgloc.filters.choose import make_filter
+from imgloc import ConfigError, Every, Filter, MapFeatures, Options, ScanSet, follow, make_filter
+from imgloc.filters.belief import LOST, UNIQUE, deviations_of
 from imgloc.filters.evidence import Places, search
-from imgloc.filters.follow import follow, robot_poses
+from imgloc.filters.follow import robot_poses
 from imgloc.filters.motion import compose_poses, increments
 from imgloc.geometry import transform_poses
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
-from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import share
 from imgloc.live.policy import LastPose
 from imgloc.live.settings import Settings
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
-from imgloc.options import Every, Options
 from tools.recorded import RIGHT
 from tools.script import parser_of
 from tools.trust.precision import REGION, TRUTH, difference, squared
@@ -274,10 +270,9 @@ def given_at(kind: str, scans: ScanSet, features: MapFeatures, found: Places) ->
 
 def parser_of_logs(name: str, about: str | None) -> argparse.ArgumentParser:
     """The parser of a tool that measures along the logs of some folders, and writes rows."""
-    parser = parser_of(f"tools.{name}", about)
+    parser = parser_of(f"tools.{name}", about, seed=0)
     parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
     parser.add_argument("--out", type=Path, default=Path(name))
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--searches", type=Path, help="folder that keeps what searches found")
     return parser
 

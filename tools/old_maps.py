@@ -28,12 +28,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc import Options, ScanSet, load_map, load_scans, make_filter
+from imgloc import Options, Pose2D, ScanSet, load_map, load_scans, make_filter, prepare
 from imgloc.filters.follow import robot_poses
 from imgloc.lab.calibrate import fit_along
-from imgloc.model import Pose2D
 from imgloc.options import Chosen, Every, Shared
-from imgloc.pipeline import prepare
 from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.plans.measure import Row, judge
 from tools.recorded import logs_of
@@ -102,14 +100,13 @@ def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...
 
 def main() -> int:
     """Print the table."""
-    parser = parser_of("tools.old_maps", __doc__)
+    parser = parser_of("tools.old_maps", __doc__, seed=1)
     parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
     parser.add_argument("--starts", type=int, default=8, help="from anywhere, in each log")
     parser.add_argument("--calibrated", action="store_true", help="begin with fitted walls")
     parser.add_argument("--thicker", type=int, default=0, metavar="CELLS", help="walls, a side")
     parser.add_argument("--scale", type=float, default=1.0, help="factor on all ranges")
     parser.add_argument("--one-scan", type=int, metavar="N", help="locate N scans one by one")
-    parser.add_argument("--seed", type=int, default=1, help="draws these scans")
     given = parser.parse_args()
 
     def work() -> int:

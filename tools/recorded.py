@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc import ConfigError, Pose2D, ScanSet, load_map, load_scans
+from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans, simulate
 from imgloc.filters.follow import with_odometry
 from imgloc.io.files import display
-from imgloc.model import OccupancyGrid
 from imgloc.options import Chosen, Sensor
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import at_least_one
 

@@ -12,10 +12,14 @@ from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.io.files import refuse_existing
 
 
-def parser_of(name: str, about: str | None) -> argparse.ArgumentParser:
-    """A parser whose help shows the docstring of a module line by line."""
+def parser_of(name: str, about: str | None, seed: int | None = None) -> argparse.ArgumentParser:
+    """A parser whose help shows the docstring of a module line by line; with --seed, if any."""
     raw = argparse.RawDescriptionHelpFormatter
-    return argparse.ArgumentParser(name, description=about, formatter_class=raw)
+    parser = argparse.ArgumentParser(name, description=about, formatter_class=raw)
+    if seed is not None:
+        said = "of everything random (default: %(default)s)"
+        parser.add_argument("--seed", type=int, default=seed, help=said)
+    return parser
 
 
 def ended(name: str, work: Callable[[], int]) -> int:

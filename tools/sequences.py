@@ -17,11 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from imgloc import Options, ScanSet, load_map, load_scans
+from imgloc import LaserScan, OccupancyGrid, Options, ScanSet, load_map, load_scans, prepare
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
-from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.pipeline import prepare
 from tools.filters import GIVEN, Searches, Trials, measure, parser_of_logs, write_rows
 from tools.recorded import scans_in
 from tools.script import progress, table_lines

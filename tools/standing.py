@@ -17,9 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc import LaserScan, MapFeatures, Options, Pose2D, localize, prepare
+from imgloc import LaserScan, MapFeatures, Moment, Options, Pose2D, Tracking, localize, prepare
 from imgloc.features.distance import distance_image
-from imgloc.filters.follow import Moment, Tracking
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import values_at
 from imgloc.live.policy import alone
@@ -152,9 +151,8 @@ def row_of(world: str, some: Sequence[Outcome]) -> tuple[object, ...]:
 
 def main() -> int:
     """Parse the command line, measure, print a table."""
-    parser = parser_of("tools.standing", __doc__)
+    parser = parser_of("tools.standing", __doc__, seed=0)
     parser.add_argument("-n", type=int, default=200, help="scans (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     at_least_one(n=given.n)
     each, every = -(-given.n // len(WORLDS_ASKED)), list[Outcome]()

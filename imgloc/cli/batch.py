@@ -126,6 +126,7 @@ def batch(
     from imgloc.model import to_json
     from imgloc.output.tables import batch_text
     from imgloc.runs.batch import find_items, run_batch
+    from imgloc.runs.cluster import cluster
     from imgloc.runs.jobs import job_class
 
     kind = job_class(job)
@@ -149,7 +150,8 @@ def batch(
     (emit if dry_run else say)(said)
     if dry_run:
         return
-    with _cluster(dask, workers, limits) as there, _progress(todo) as advance:
+    elsewhere = cluster(dask, workers=workers, **limits) if dask else contextlib.nullcontext()
+    with elsewhere as there, _progress(todo) as advance:
         try:
             summary = run_batch(
                 maps, scans, out, what, means=means, executor=there or pool, resume=again,
@@ -218,17 +220,6 @@ def _pool(context: typer.Context, workers: int, limits: dict[str, Any]) -> "Exec
     pool = Supervised(workers, module="imgloc.runs.batch", **limits)
     context.call_on_close(lambda: pool.shutdown(cancel_futures=True))
     return pool
-
-
-def _cluster(
-    dask: str | None, workers: int | None, limits: dict[str, Any]
-) -> "contextlib.AbstractContextManager[Executor | None]":
-    """Workers elsewhere, if they are wanted."""
-    if dask is None:
-        return contextlib.nullcontext()
-    from imgloc.runs.cluster import cluster
-
-    return cluster(dask, workers=workers, **limits)
 
 
 @contextlib.contextmanager

@@ -9,9 +9,8 @@ from imgloc.filters.follow import Moment
 from imgloc.filters.motion import increments
 from imgloc.geometry import pose_errors
 from imgloc.model import FloatArray, IntArray
-from imgloc.numbers import number
 
-_APART: float = number("deviation.apart")  # seconds between two stamps that are of one moment
+_APART = 0.01  # seconds between two stamps that are of one moment, as evo has it
 
 
 @dataclass(frozen=True)

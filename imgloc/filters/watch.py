@@ -18,16 +18,16 @@ from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, pose_errors
 from imgloc.model import LaserScan, Pose2D, base_of, compose, inverse, plain
 from imgloc.numbers import number
-from imgloc.options import Options
+from imgloc.options import Options, Trust
 from imgloc.pipeline import localize
 
 AGREES, DISAGREES, CANNOT = ("agrees", "disagrees", "cannot tell")
 _NEAR: tuple[float, float] = number("watch.near")
-_SILENT: float = number("watch.silent")
 _EACH: float = number("watch.each")
 _LOOKS: tuple[int, int] = number("watch.looks")
-_CHANCE: float = number("watch.chance")
-_LEAD = math.log1p(-_CHANCE) - math.log(_CHANCE)  # nats
+# Metres without a pose, in which the own filter would be sure of one; nats of a pose that is sure.
+_SILENT, _ = TrackerOptions.sure
+_LEAD = math.log(Trust.mass) - math.log1p(-Trust.mass)
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Watch:
             return self._beside(claim, base_of(answer.hypotheses[0].pose, scan.mount), scan)
         if late and held <= begun:  # else the scans since then speak for the place
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
-        if held > _CHANCE:  # one scan alone outweighs no place that holds
+        if held > 1 - Trust.mass:  # one scan alone outweighs no place that holds
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
         # Looks at one place see the same things: each has to be as sure as all of them together.
         if seen.gained > -_LOOKS[0] * _LEAD:

@@ -349,7 +349,9 @@ def _assemble(
     """Scans of messages, with the facts of the whole log."""
     side = "rear" if rear else "front"
     said = _parameter(parameters, f"robot_{side}_laser_max", name)
-    reach = said or _sick_reach(messages)
+    # A SICK, by what it writes where it sees nothing.
+    greatest = max(float(np.nanmax(message.ranges, initial=0.0)) for message in messages)
+    sick = next((m for low, high, m in _SICK_REACH if low <= greatest <= high), _REACH)
     resolution = _parameter(parameters, f"laser_{side}_laser_resolution", name)
     stamps = np.array([message.stamp for message in messages])
     # Some logs were written with six digits for seconds since 1970.
@@ -368,7 +370,7 @@ def _assemble(
         entry = {
             "ranges": message.ranges,
             "angles": _angles(count, fov, resolution, message.where) if given is None else given,
-            "range_max": message.range_max if message.range_max > 0 else reach,
+            "range_max": message.range_max if message.range_max > 0 else said or sick,
             "stamp": float(stamps[i]) if timed else None,
             "odom": None if odom is None else odom[i],
             "pose": None if poses is None else poses[i], "mount": mount,
@@ -388,12 +390,6 @@ def _parameter(parameters: dict[str, str], key: str, name: str) -> float | None:
     if not 0 < value < math.inf:
         raise wrong(f"{name}: PARAM {key}", repr(parameters[key]), "a positive number")
     return value
-
-
-def _sick_reach(messages: Sequence[_Message]) -> float:
-    """Reach of the scanner, by what it writes where it sees nothing."""
-    greatest = max(float(np.nanmax(message.ranges, initial=0.0)) for message in messages)
-    return next((m for low, high, m in _SICK_REACH if low <= greatest <= high), _REACH)
 
 
 def _angles(n: int, fov: float | None, resolution: float | None, where: str) -> FloatArray:

@@ -48,9 +48,10 @@ from imgloc.model import (
     plain,
 )
 from imgloc.numbers import number
+from imgloc.options import EvidenceModel
 
-_SHORT = number("changes.short")  # metres by which an endpoint may lie off its wall
-_EDGE = number("changes.edge")  # metres around a free cell that are free, too
+_EDGE = min(EvidenceModel.sigmas)  # metres around a free cell that are free, too
+_SHORT = 3 * _EDGE  # metres by which an endpoint may lie off its wall
 _GAP = number("changes.gap")  # metres between neighbouring rays that say free between them
 _SCANS, _PLACES = number("changes.scans"), number("changes.places")  # that must say so
 _AGAINST = number("changes.against")  # scans that say so, to each that says otherwise

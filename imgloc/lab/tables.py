@@ -34,13 +34,6 @@ SHARP: float = number("faces.sharp")
 """Metres behind the border of its cells up to which the face of a wall is called sharp."""
 
 
-def _face_words(depth: float, error: float) -> str:
-    """Say how deep in the walls of a map readings end, metres."""
-    sharp = depth < max(3 * error, SHARP)
-    what = "sharp, as drawn" if sharp else "blurred, as scans make them"
-    return f"{depth:.3f} +- {error:.3f} m behind the border of the walls: {what}"
-
-
 def shared_words(found: SharedFit, resolution: float) -> str:
     """Describe a shared error that was fitted on a map with cells of `resolution` metres."""
     shared, error = found.shared, found.deviation
@@ -58,11 +51,13 @@ def shared_words(found: SharedFit, resolution: float) -> str:
         right = "as the map has it"
     elif abs(shared.scale - 1) > max(2 * error, 0.002):
         right = f"the map's cells are of {resolution / shared.scale:.4g} m, or ranges are off"
+    depth, off = shared.depth or 0.0, found.deviation_depth or 0.0
+    faces = "sharp, as drawn" if depth < max(3 * off, SHARP) else "blurred, as scans make them"
     facts = [
         ("scans", f"{found.used} of {found.asked} fit at one place"),
         ("scale", f"ranges x {shared.scale:.4f} +- {error:.4f}: {right}"),
         ("walls", thinner),
-        ("faces", _face_words(shared.depth or 0.0, found.deviation_depth or 0.0)),
+        ("faces", f"{depth:.3f} +- {off:.3f} m behind the border of the walls: {faces}"),
     ]
     return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
 

@@ -11,6 +11,7 @@
 """
 
 import atexit
+import itertools
 import threading
 import time
 import weakref
@@ -158,7 +159,7 @@ class Localizer:
         self._preparing: threading.Thread | None = None
         self._index: tuple[tuple[_Entry, ...], MapIndex] | None = None
         self._robots = list[Robot]()
-        self._eras = 0
+        self._eras = itertools.count(1)
         given = {} if maps is None else maps if isinstance(maps, Mapping) else {ALONE: maps}
         for name, made in given.items():
             self._put(name, made, background=background)
@@ -242,7 +243,7 @@ class Localizer:
     ) -> None:
         if self._closed:
             raise Dropped("closed")
-        entry = _Entry(made, self._next_era(), compared)
+        entry = _Entry(made, next(self._eras), compared)
         if not background:
             self._prepare(name, entry)
             if entry.error is not None:
@@ -559,11 +560,6 @@ class Localizer:
         age = (clock or self._clock)() - scan.stamp
         dropped = self._line.counts[key]
         return Answer(value, name, scan.stamp, age, 1e3 * waited, 1e3 * took, dropped, era)
-
-    def _next_era(self) -> int:
-        with self._changed:
-            self._eras += 1
-            return self._eras
 
     def _replaced(self, name: str) -> None:
         for robot in tuple(self._robots):

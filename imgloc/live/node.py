@@ -41,7 +41,7 @@ from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, LastPose, alone
 from imgloc.live.remember import REFUSED, RESTORED, Kept, checked, identity, load_kept
-from imgloc.live.settings import CHANGING, LATE, Settings
+from imgloc.live.settings import CHANGING, Settings
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import (
     ERROR,
@@ -69,7 +69,7 @@ from imgloc.model import (
 from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Options
 from imgloc.pose import difference
 from imgloc.ranges import declared
-from imgloc.robot.frames import Frames
+from imgloc.robot.frames import GAP, Frames
 from imgloc.robot.odometry import Odometry
 from imgloc.robot.stamps import AHEAD, ANEW, FINE, Stamps
 
@@ -86,6 +86,9 @@ MISSING = (
     "a ROS 2 node needs rclpy: source a ROS 2 whose Python is this one, or pip install "
     "'imgloc[node]'"
 )
+# Seconds from a scan's arrival until it is left out, if odometry or transforms of its time lack: in
+# a longer gap it is not known anyway. Without any by then, the scans alone give the motion.
+LATE = GAP
 _LOOK = 0.5  # seconds between two looks at what has become of everything
 _KEPT = 10.0  # seconds that who comes late still gets /initialpose: what tf2 remembers by default
 _WAITING = 100  # scans that wait so, of all lasers

@@ -32,15 +32,16 @@ or after `metres` of driving is due.
 
 import math
 
-from imgloc.filters.belief import LOST, one_place
+from imgloc.filters.belief import LOST, PLACE, one_place
 from imgloc.filters.follow import Moment
-from imgloc.live.settings import ALONE, Rules
+from imgloc.filters.tracker import TrackerOptions
+from imgloc.live.settings import Rules
 from imgloc.model import Localization, Pose2D, compose, inverse
-from imgloc.pose import difference
 
 WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
     "waiting", "trying", "confirmed", "quiet", "given up",
 )  # fmt: skip
+_, _SUREST = TrackerOptions.mass
 
 
 class FirstPose:
@@ -138,11 +139,10 @@ class LastPose:
 
 def alone(answer: Localization) -> bool:
     """Return whether one scan is so sure of a place that a robot which stands may be told it."""
-    mass, level = ALONE
-    sure = answer.verdict == "unique" and answer.hypotheses[0].mass >= mass
-    return sure and bool(answer.protection) and answer.protection[0].metres < level
+    sure = answer.verdict == "unique" and answer.hypotheses[0].mass >= _SUREST
+    return sure and bool(answer.protection) and answer.protection[0].metres < PLACE[0]
 
 
 def _apart(a: Pose2D | None, b: Pose2D | None) -> float:
     """Metres between two poses; 0 if one of them is not known."""
-    return 0.0 if a is None or b is None else difference(a, b)[0]
+    return 0.0 if a is None or b is None else math.hypot(a.x - b.x, a.y - b.y)

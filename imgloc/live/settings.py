@@ -6,7 +6,6 @@ from functools import partial
 from typing import Annotated
 
 from imgloc.errors import ConfigError
-from imgloc.numbers import number
 from imgloc.options import Flipped, Metres, Place, Radians
 from imgloc.pose import Pose2D, check_mount
 from imgloc.ranges import Checked, Doc, Matches, Within, option
@@ -21,13 +20,6 @@ def _poses(text: str) -> tuple[float, ...]:
     words = text.split(",")
     threes = [",".join(words[k : k + 3]) for k in range(0, len(words), 3)]
     return tuple(value for three in threes for value in pose(three))
-
-
-#: seconds from a scan's arrival until it is left out, if odometry or transforms of its time lack;
-#: if none has come by then, the scans alone give the motion
-LATE: float = number("live.late")
-#: of one scan that is believed without a second: least mass, and largest radius of 95 %
-ALONE: tuple[float, float] = number("live.alone")
 
 
 def _topics(text: str) -> tuple[str, ...]:

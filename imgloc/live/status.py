@@ -166,35 +166,28 @@ def status_row(
     late : bool
         Whether scans, or what belongs to them, do not come in time.
     """
-    pose = found.poses[0] if found is not None and found.poses and stands else None
-    why = "" if found is None or pose is not None else found.why or ("late" if late else "")
+    one = found or Found(math.nan, None, "")
+    # The other places, or all of them while none can be relied upon.
+    places = list(zip(one.poses, one.masses, strict=True))
+    pose = one.poses[0] if one.poses and stands else None
+    why = "" if found is None or pose is not None else one.why or ("late" if late else "")
     row: dict[str, Any] = {
         "localized": pose is not None,
-        "localizationScore": found.score if found is not None else 0.0,
-        "deviationRange": found.deviation if found is not None and pose is not None else None,
-        "mapId": "" if found is None else found.map or "",
-        "x": None if pose is None else pose.x,
-        "y": None if pose is None else pose.y,
-        "theta": None if pose is None else pose.theta,
-        "verdict": None if found is None else found.verdict,
+        "localizationScore": one.score,
+        "deviationRange": None if pose is None else one.deviation,
+        "mapId": one.map or "",
+        **(dict.fromkeys(("x", "y", "theta")) if pose is None else plain(pose)),
+        "verdict": one.verdict or None,
         "withheld": why,
         "state": first.state,
-        "alternatives": [] if found is None else _alternatives(found, skip=pose is not None),
-        "masses": [] if found is None else found.masses,
-        "explained": None if found is None else found.explained,
-        "stamp": None if found is None else found.stamp,
-        "age": None if found is None else now - found.stamp,
+        "alternatives": [plain(p) | {"mass": mass} for p, mass in places[int(pose is not None) :]],
+        **{name: getattr(one, name) for name in ("masses", "explained", "stamp")},
+        "age": now - one.stamp,
         "tries": first.tries,
         "dropped": dropped,
         "message": said,
     }
     return dict(plain(row))
-
-
-def _alternatives(found: Found, *, skip: bool) -> list[dict[str, float]]:
-    """The other places, or all of them while none can be relied upon."""
-    pairs = list(zip(found.poses, found.masses, strict=True))[int(skip) :]
-    return [{"x": p.x, "y": p.y, "theta": p.theta, "mass": mass} for p, mass in pairs]
 
 
 def health(

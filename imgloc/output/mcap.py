@@ -59,7 +59,7 @@ class Recording:
         self._began = False
         self.close = self._bag.close
 
-    def add(self, scan: LaserScan, moment: Moment) -> None:
+    def add(self, moment: Moment, scan: LaserScan) -> None:
         """Add a scan and what is believed since."""
         # A log without stamps is one with a scan a second.
         seconds = moment.stamp if math.isfinite(moment.stamp) else float(moment.index)

@@ -180,7 +180,8 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
             answers.append([column.of(said) for column in columns])
             pictures.append(answer.get("pictures") or 0)
             pages.append(answer.get("page") or 0)
-    of_maps = [_of_map(name, m, summary.verdicts) for name, m in sorted(maps.items())]
+    verdicts, in_order = summary.verdicts, dict.fromkeys((*_VERDICTS, *summary.verdicts))
+    of_maps = [_of_map(name, m, verdicts) for name, m in sorted(maps.items())]
     data = {
         "answers": _table(columns, answers) | {"pictures": pictures, "pages": pages},
         "maps": _table(_MAPS, of_maps),
@@ -194,7 +195,7 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
         summary=summary,
         versions=versions.most_common(),
         version=__version__,
-        verdicts=_in_order(summary.verdicts),
+        verdicts=[(v, verdicts[v]) for v in in_order if v in verdicts],
         hints=read_summary(folder).get("hints", []),
         statuses=sorted(summary.statuses.items(), key=lambda kv: -kv[1]),
         kinds=[(*kind, n) for kind, n in kinds.most_common(_SHOWN)],
@@ -272,11 +273,6 @@ def _of_map(name: str, m: _Counted, verdicts: Iterable[str]) -> list[Any]:
         "error": _median(m.errors), "ms": _median(m.ms),
     }  # fmt: skip
     return [column.of(row) for column in _MAPS]
-
-
-def _in_order(verdicts: Mapping[str, int]) -> list[tuple[str, int]]:
-    known = [(v, verdicts[v]) for v in _VERDICTS if v in verdicts]
-    return known + [(v, n) for v, n in verdicts.items() if v not in _VERDICTS]
 
 
 def _median(values: Sequence[float]) -> float | None:

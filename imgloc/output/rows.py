@@ -65,9 +65,7 @@ def moment_row(
     """
     belief, pose = moment.belief, moment.pose
     row: dict[str, Any] = {
-        "index": moment.index,
-        "stamp": moment.stamp,
-        "age": moment.age,
+        **{name: getattr(moment, name) for name in ("index", "stamp", "age")},
         "deviation": None if moment.best is None else moment.deviation,
         "looked": moment.looked,
         "verdict": belief.verdict,

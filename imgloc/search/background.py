@@ -18,7 +18,7 @@ from imgloc.search.rescore import by_things, hit_density, pieces, things_of_thei
 
 # headings of the room that are tried; it looks the same after a quarter turn
 _HEADINGS = number("background.headings")
-_BIN = number("background.bin")  # metres; a wall is looked for in three of them
+_BIN = min(EvidenceModel.sigmas)  # metres; a wall is looked for in three of them
 _BINS = number("background.bins")
 
 

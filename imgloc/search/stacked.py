@@ -6,7 +6,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.likelihoods.posterior import calibrated, entropy
-from imgloc.model import Evidence, Float32Array, FloatArray, LaserScan, Likelihood, Temperature
+from imgloc.model import Float32Array, LaserScan, Likelihood, Temperature
 from imgloc.options import DEFAULTS, Calibration, Options, Shared
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice, ranked
@@ -36,22 +36,12 @@ def weigh_stack(
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):
         score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
-    fit, explained = _settled_fit(features, scan, poses[:1], temperature, options)
+    pose, readings, settled = settle(features, scan, poses[:1], options)
+    fit = evidence_of(features, readings, settled, options)
+    fit = replace(fit, temperature=Temperature(temperature))
+    explained = explained_rays(features, scan, pose, options, Shared())
     spread = entropy(probability)
     return Weighed(poses, score, weighed, share[order], covariance, fit, explained, entropy=spread)
-
-
-def _settled_fit(
-    features: MapFeatures, scan: LaserScan, best: FloatArray, temperature: float, options: Options
-) -> tuple[Evidence, float]:
-    """Evidence of a stack's best pose (1, 3) after refinement, and the share of rays it explains.
-
-    The evidence has the stack's `temperature`.
-    """
-    pose, readings, scores = settle(features, scan, best, options)
-    fit = evidence_of(features, readings, scores, options)
-    explained = explained_rays(features, scan, pose, options, Shared())
-    return replace(fit, temperature=Temperature(temperature)), explained
 
 
 def posterior_of(

@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
+from imgloc import ScanSet, Sensor, Shared, load_map, load_scans, save_scans, simulate
 from imgloc.io.calibration import load_calibrations
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import DEFAULTS, Sensor, Shared
-from imgloc.simulation.scans import simulate
+from imgloc.options import DEFAULTS
 from imgloc.simulation.worlds import WORLDS, render
 
 QUICK = ("--method", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--cell", 0.2,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from command import call, rows
 from walls import GRID, THICK, N, drawn, thick_in
+from walls import bent as bent_in
 
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.search.adapt import BENT
@@ -22,14 +23,7 @@ def thick(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def bent(tmp_path: Path) -> Path:
     """A folder with a map on which each block of 1.5 m stands 0.2 m off, any way."""
-    occupied, rng, block = np.zeros_like(GRID.occupied), np.random.default_rng(5), 15
-    for row in range(0, len(occupied), block):
-        for column in range(0, occupied.shape[1], block):
-            there = np.argwhere(GRID.occupied[row : row + block, column : column + block])
-            y, x = (there + [row, column] + rng.choice([-2, 2], 2)).T
-            inside = (y >= 0) & (x >= 0) & (y < len(occupied)) & (x < occupied.shape[1])
-            occupied[y[inside], x[inside]] = True
-    return drawn(tmp_path, occupied)
+    return drawn(tmp_path, bent_in(GRID, 15))
 
 
 def test_scans_that_fit_nowhere_alone_calibrate_a_map_together(bent: Path) -> None:
@@ -63,9 +57,7 @@ def test_scans_that_fit_nowhere_alone_calibrate_a_map_together(bent: Path) -> No
         (["--range-scale", 0], "--range-scale: is no option here; imgloc convert LOG scans.npz"),
     ],
 )
-def test_calibrate_reads_a_log_as_localize_does(
-    thick: Path, words: list[object], expected: str
-) -> None:
+def test_calibrate_reads_a_log_as_localize_does(thick, words, expected):
     given = [thick / word if word == "log.npz" else word for word in words]
     run = call("calibrate", thick / "map.yaml", *given).ends(2, out="")
     assert expected in " ".join(run.err.split())

@@ -12,11 +12,8 @@ import numpy as np
 import pytest
 from command import MAPS, call, command, rows, simulating
 
+from imgloc import OccupancyGrid, Pose2D, ScanSet, load_map, load_scans, save_map, save_scans
 from imgloc.geometry import transform_poses
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import DEFAULTS
 
 CURVED = MAPS / "curved.yaml"
@@ -66,7 +63,6 @@ def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
 
 def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> None:
     grid, recorded = load_map(CURVED), load_scans(scans)
-    assert recorded.poses is not None
     origin = Pose2D(-4.0, 9.0, 2.0)  # the same world in another frame
     save_map(tmp_path / "map.yaml", OccupancyGrid(grid.occupied, grid.free, 0.1, origin))
     moved = transform_poses(origin, np.array(recorded.poses))

@@ -7,12 +7,11 @@ import math
 import numpy as np
 import pytest
 from command import MAPS, call, fed
+from places import hall
 
-from imgloc.errors import ConfigError, MapError
+from imgloc import ConfigError, MapError, load_map, load_scans, save_map
 from imgloc.geometry import transform_poses
 from imgloc.io.files import map_name
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans
 from imgloc.lab.align import ScanAlignment, align_maps, align_scans, differences
 from imgloc.lab.aligned import (
     ONLY_A,
@@ -113,8 +112,7 @@ def test_a_scale_beyond_the_range_is_no_match_and_is_named(a, tmp_path):
 
 
 def test_a_room_that_is_the_same_turned_by_half_is_ambiguous():
-    wall = np.pad(np.zeros((50, 80), bool), 2, constant_values=True)
-    grid = OccupancyGrid(wall, ~wall, 0.1)
+    grid = hall(50, 80)
     found = align_maps(grid, grid)
     assert found.verdict == "ambiguous"
     turns = sorted(round(abs(place.pose.theta), 2) for place in found.places[:2])
@@ -222,8 +220,7 @@ def test_scans_that_differ_by_many_transforms_agree_on_none():
 
 
 def test_scans_decide_between_places_that_agree_as_well():
-    wall = np.pad(np.zeros((50, 80), bool), 2, constant_values=True)
-    grid = OccupancyGrid(wall, ~wall, 0.1)
+    grid = hall(50, 80)
     T = Pose2D(8.4, 5.4, math.pi)  # half a turn about the middle
     here = np.array([(1.0, 1.0, 0.2), (5.0, 2.0, 1.0)])
     scans = ScanAlignment(T, 2, 2, 2, 0.0, 0.0, here, transform_poses(T, here))

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.errors import ConfigError, MapError
+from imgloc import ConfigError, LaserScan, MapError, OccupancyGrid, Options, Pose2D, prepare
 from imgloc.geometry import in_grid_frame
 from imgloc.lab.atlas import COLUMNS, TOP, Spot, as_csv, atlas_poses, survey, survey_part
 from imgloc.lab.picture import ATLAS_COLOURS, REDS, draw_atlas
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import Options
-from imgloc.pipeline import prepare
 from imgloc.simulation.scans import ray_angles, simulate_ranges
 
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import MapFeatures, OccupancyGrid
 from imgloc.features.raycast import cast_rays
 from imgloc.lab.bound import least_covariances
-from imgloc.model import OccupancyGrid
 
 
 def by_differences(features, pose, angles, reach, sigma):

@@ -11,14 +11,12 @@ from budgets import check_done, check_refused, words
 from command import MAPS, call
 from test_features_budget import office, peak
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, MapFeatures, Options, Sensor
 from imgloc.features.budget import poses_bytes, simulate_bytes
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.lab.atlas import MOST, atlas_poses, simulate_at
 from imgloc.lab.calibrate import disturbed_set, sweep
-from imgloc.options import Options
 from imgloc.search.asked import answer_bytes
-from imgloc.simulation.scans import Sensor, fine_factor
+from imgloc.simulation.scans import fine_factor
 
 EVALUATE = ["evaluate", MAPS / "curved.yaml", "-n", 1, "--method", "ght-v,cbml", "--threads", 1]
 CURVED = MAPS / "curved.yaml"
@@ -40,9 +38,7 @@ def test_the_scans_of_an_atlas_take_no_more_than_estimated(step: float, rays: in
 
 
 @pytest.mark.parametrize(("step", "headings"), [(5.0, 1), (0.3, 1), (2.0, 72)])
-def test_choosing_the_poses_of_an_atlas_takes_no_more_than_estimated(
-    step: float, headings: int
-) -> None:
+def test_choosing_the_poses_of_an_atlas_takes_no_more_than_estimated(step, headings):
     grid = office(6, 0.1)
     side = grid.occupied.shape[0] * grid.resolution
     taken = peak(lambda: atlas_poses(grid, step, headings, 0.1))
@@ -88,9 +84,7 @@ def folder(tmp_path: Path) -> Path:
         ([*CALIBRATE, 4], "80M", ["ght on 130 x 160 cells of 0.1 m", "features of"]),
     ],
 )
-def test_over_budget_is_refused_with_sizes(
-    command: list[object], budget: str, expected: list[str], folder: Path
-) -> None:
+def test_over_budget_is_refused_with_sizes(command, budget, expected, folder):
     check_refused(command, budget, expected, folder)
 
 
@@ -99,9 +93,7 @@ def test_within_the_budget_it_is_said_and_done(command, folder: Path, caplog) ->
     check_done(command, folder, caplog)
 
 
-def test_every_method_is_checked_before_the_first_one_runs(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_every_method_is_checked_before_the_first_one_runs(caplog):
     with caplog.at_level(logging.INFO):
         code, out, err = call(*EVALUATE, "--memory-budget", "100M", "--json", "-v")
     assert (code, out) == (2, "")

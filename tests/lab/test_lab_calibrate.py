@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from places import room_with_two_posts
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, GridInfo, Likelihood, OccupancyGrid, Pose2D, likelihood, prepare
 from imgloc.lab import calibrate
 from imgloc.lab.calibrate import (
     EXPONENTS,
@@ -22,29 +23,20 @@ from imgloc.lab.evaluation import cell_of_pose
 from imgloc.lab.performance_index import density_in_stack, performance_index
 from imgloc.lab.tables import SHARP, shared_words
 from imgloc.likelihoods.posterior import calibrated
-from imgloc.likelihoods.stacks import likelihood
-from imgloc.model import GridInfo, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import METHODS, Calibration, Options, Sensor, Shared
-from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate
 
-
-def room() -> OccupancyGrid:
-    walls = np.ones((40, 50), bool)
-    walls[2:38, 2:48] = False
-    walls[10:14, 12:20] = walls[25:33, 30:33] = True
-    return OccupancyGrid(walls, ~walls, 0.1, Pose2D(3.0, -2.0, 0.5))
+ROOM = room_with_two_posts(Pose2D(3.0, -2.0, 0.5))
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_sweep_has_what_the_posterior_says(method: str) -> None:
-    features = prepare(room(), n_rays=72)
-    scans = simulate(room(), 2, 4, Sensor(rays=61))
+    features = prepare(ROOM, n_rays=72)
+    scans = simulate(ROOM, 2, 4, Sensor(rays=61))
     options = Options(method=method, theta_step=float(np.deg2rad(15)))
     swept = sweep(features, scans, options)
     assert swept.logs.shape == (2, len(swept.configurations), len(EXPONENTS))
     assert len(swept.configurations) == (1 if method == "beam" else 12)
-    assert scans.poses is not None
     for k, (scan, pose) in enumerate(zip(scans.scans, scans.poses, strict=True)):
         stack = likelihood(features, scan, options)
         at = cell_of_pose(features, Pose2D(*pose), 24)
@@ -120,7 +112,7 @@ def test_a_few_scans_fit_nothing(count: int) -> None:
 
 def test_a_third_of_the_scans_is_as_the_sensor_says() -> None:
     sensor = Sensor(rays=200, sigma=0.01)
-    clean, mixed = (make(room(), 6, 5, sensor) for make in (simulate, disturbed_set))
+    clean, mixed = (make(ROOM, 6, 5, sensor) for make in (simulate, disturbed_set))
     assert clean.poses is not None
     np.testing.assert_array_equal(mixed.poses, clean.poses)
     for k, (a, b) in enumerate(zip(clean.scans, mixed.scans, strict=True)):
@@ -137,7 +129,7 @@ def test_a_third_of_the_scans_is_as_the_sensor_says() -> None:
 
 
 def test_neighbouring_readings_share_the_error_of_a_wall() -> None:
-    pair = [make(room(), 3, 5, Sensor(rays=400, sigma=0.0)) for make in (simulate, disturbed_set)]
+    pair = [make(ROOM, 3, 5, Sensor(rays=400, sigma=0.0)) for make in (simulate, disturbed_set)]
     error = pair[1].scans[2].ranges - pair[0].scans[2].ranges
     near = np.abs(error) < 0.4
     both = near[1:] & near[:-1]
@@ -145,17 +137,16 @@ def test_neighbouring_readings_share_the_error_of_a_wall() -> None:
 
 
 def test_the_same_seed_the_same_scans() -> None:
-    one, two = (disturbed_set(room(), 3, 8, Sensor(rays=20)) for _ in range(2))
+    one, two = (disturbed_set(ROOM, 3, 8, Sensor(rays=20)) for _ in range(2))
     for a, b in zip(one.scans, two.scans, strict=True):
         np.testing.assert_array_equal(a.ranges, b.ranges)
 
 
 def test_a_calibrated_posterior_knows_more_than_the_bare_stack() -> None:
-    features = prepare(room())
+    features = prepare(ROOM)
     options = Options(method="ght-v")
-    fitted = fit([sweep(features, simulate(room(), 20, 1, Sensor(rays=91)), options)])
-    fresh = simulate(room(), 5, 77, Sensor(rays=91))
-    assert fresh.poses is not None
+    fitted = fit([sweep(features, simulate(ROOM, 20, 1, Sensor(rays=91)), options)])
+    fresh = simulate(ROOM, 5, 77, Sensor(rays=91))
     bare, sure = [], []
     for scan, pose in zip(fresh.scans, fresh.poses, strict=True):
         stack = likelihood(features, scan, options)
@@ -167,7 +158,7 @@ def test_a_calibrated_posterior_knows_more_than_the_bare_stack() -> None:
 
 
 def test_an_error_that_few_scans_share_in_the_end_is_none(monkeypatch) -> None:
-    features, told = prepare(room()), simulate(room(), 5, 4, Sensor(rays=181, fov=6.2))
+    features, told = prepare(ROOM), simulate(ROOM, 5, 4, Sensor(rays=181, fov=6.2))
     assert fit_shared(features, told.scans).shared.scale == pytest.approx(1, abs=0.01)
     # Each fits at an error of its own, none at that of all.
     monkeypatch.setattr(calibrate, "_left", lambda *given: None)
@@ -176,7 +167,7 @@ def test_an_error_that_few_scans_share_in_the_end_is_none(monkeypatch) -> None:
 
 
 def test_scans_show_how_deep_in_the_walls_the_faces_are() -> None:
-    features, told = prepare(room()), simulate(room(), 6, 4, Sensor(rays=181, fov=6.2))
+    features, told = prepare(ROOM), simulate(ROOM, 6, 4, Sensor(rays=181, fov=6.2))
     sharp, error = fit_depth(features, told.scans)
     assert abs(sharp) < SHARP
     assert 0 < error < 0.01

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 from command import call
 
+from imgloc import ScanSet, load_map, map_changes, save_map, save_scans, sure_poses
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.geometry import transform_poses
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.lab.changes import map_changes, sure_poses
 from imgloc.lab.picture import GONE, NEW, draw_changes
 from imgloc.model import Hypothesis, LaserScan, Localization, OccupancyGrid, Pose2D
 

@@ -4,40 +4,17 @@ import gc
 
 import numpy as np
 import pytest
+from places import room_with_two_posts as room
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, ScanSet, Sensor, evaluate, likelihood, localize, prepare, simulate
 from imgloc.geometry import cell_of, pose_errors, theta_bin, transform_poses
 from imgloc.io.maps import bundled_maps, load_map
-from imgloc.io.scanset import ScanSet
-from imgloc.lab.evaluation import (
-    PAPER_STEPS_DEG,
-    Trial,
-    evaluate,
-    method_options,
-    run_trials,
-    summarise,
-)
+from imgloc.lab.evaluation import PAPER_STEPS_DEG, Trial, method_options, run_trials, summarise
 from imgloc.likelihoods.posterior import calibrated, posterior
-from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, compose
 from imgloc.options import ALL_METHODS, METHODS, Tolerance
-from imgloc.pipeline import localize, prepare
-from imgloc.simulation.scans import (
-    Sensor,
-    fine_image,
-    refine_grid,
-    sample_free_poses,
-    simulate,
-    simulate_ranges,
-)
+from imgloc.simulation.scans import fine_image, refine_grid, sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
-
-
-def room(origin: Pose2D | None = None) -> OccupancyGrid:
-    walls = np.ones((40, 50), bool)
-    walls[2:38, 2:48] = False
-    walls[10:14, 12:20] = walls[25:33, 30:33] = True
-    return OccupancyGrid(walls, ~walls, 0.1, origin or Pose2D(0, 0, 0))
 
 
 def trials(method: str, grid: OccupancyGrid, scans: ScanSet) -> list[Trial]:
@@ -54,7 +31,6 @@ def scans() -> ScanSet:
 def test_a_trial_is_what_the_stack_says(method: str, scans: ScanSet) -> None:
     found = trials(method, room(), scans)
     features = prepare(room(), n_rays=60)
-    assert scans.poses is not None
     for trial, scan, (x, y, theta) in zip(found, scans.scans, scans.poses, strict=True):
         stack = likelihood(features, scan, method_options(method, np.deg2rad(6.0)))
         everywhere = np.ones_like(features.free)
@@ -81,7 +57,6 @@ def test_a_trial_is_what_the_stack_says(method: str, scans: ScanSet) -> None:
 @pytest.mark.parametrize("method", ["fused", "cbml", "ght-v"])
 def test_an_origin_with_a_yaw_changes_nothing(method: str, scans: ScanSet) -> None:
     origin = Pose2D(-7.0, 3.0, 2.5)
-    assert scans.poses is not None
     moved = ScanSet(scans.scans, poses=transform_poses(origin, np.array(scans.poses)))
     for here, there in zip(
         trials(method, room(), scans), trials(method, room(origin), moved), strict=True
@@ -205,7 +180,6 @@ def test_only_bundled_worlds_are_drawn_finely() -> None:
     path = bundled_maps() / "curved.yaml"
     grid = load_map(path)
     fine = fine_image(path, grid)
-    assert fine is not None
     np.testing.assert_array_equal(fine.occupied, render(WORLDS["curved"](), 0.01).occupied)
     assert fine_image(path, load_map(path, resolution=0.05)) is None  # it is smaller now
     assert fine_image(path, load_map(path, origin=(1, 0, 0))) is None
@@ -215,8 +189,6 @@ def test_only_bundled_worlds_are_drawn_finely() -> None:
 def test_simulated_sets_are_in_the_map_frame() -> None:
     origin = Pose2D(5.0, -2.0, 0.7)
     here, there = (simulate(room(o), 4, 9, Sensor(rays=7)) for o in (None, origin))
-    assert here.poses is not None
-    assert there.poses is not None
     np.testing.assert_allclose(there.poses, transform_poses(origin, np.array(here.poses)))
     np.testing.assert_array_equal(here[2].ranges, there[2].ranges)
     assert here[0].range_max == 30

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from places import POSES, features_of, room_with_a_post, scan_of
 
-from imgloc.errors import ConfigError
-from imgloc.filters.follow import follow
+from imgloc import ConfigError, OccupancyGrid, Options, Pose2D, ScanSet, Shared, follow, prepare
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import in_grid_frame, uniform_thetas, wrap
-from imgloc.io.scanset import ScanSet
 from imgloc.lab.grid import (
     GridFilter,
     GridOptions,
@@ -21,9 +19,6 @@ from imgloc.lab.grid import (
     turn,
 )
 from imgloc.lab.particle import ParticleFilter
-from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.options import Options, Shared
-from imgloc.pipeline import prepare
 
 
 def spread_1d(shift: float, sigma: float, count: int) -> dict[int, float]:

@@ -12,11 +12,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from command import MAPS
+from places import drive, hall
 
 import imgloc
 from imgloc import (
@@ -34,18 +34,15 @@ from imgloc import (
     Tracking,
 )
 from imgloc.errors import ConfigError, MapError, ScanError
-from imgloc.filters.motion import noisy_odometry
 from imgloc.io.calibration import calibration_path, load_calibrations, save_calibrations
 from imgloc.live.line import Key, Line
 from imgloc.model import to_json
 from imgloc.options import Calibration, Shared
 from imgloc.output.rows import answer_row, moment_row
 from imgloc.search.priors import prior_of
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 
 NAMES = ("curved", "corridor", "visibility")
-ANGLES, N = np.deg2rad(np.arange(-180, 180, 3.0)), 10
+N = 10
 
 
 @pytest.fixture(scope="module")
@@ -67,16 +64,11 @@ def core() -> Iterator[Localizer]:
 def log() -> ScanSet:
     """Ten scans along a corridor of `visibility`, half a metre apart, with odometry."""
     poses = np.array([[4.0 + 0.5 * k, 7.0, 0.02 * k] for k in range(N)])
-    ranges = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
-    made = [LaserScan(r, ANGLES, 0.0, 30.0, stamp=100.0 + k) for k, r in enumerate(ranges)]
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    return ScanSet(tuple(made), poses, 100.0 + np.arange(N), odom)
+    return drive(poses)
 
 
 def room() -> OccupancyGrid:
-    wall = np.pad(np.zeros((40, 60), bool), 2, constant_values=True)
-    wall[2:20, 30:34] = True
-    return OccupancyGrid(wall, ~wall, 0.1)
+    return hall(40, 60, np.s_[2:20, 30:34])
 
 
 def whole(row: dict[str, object]) -> str:
@@ -117,9 +109,7 @@ def why_of(future: "Future[object]") -> str:
 # What is answered.
 
 
-def test_an_answer_is_that_of_localize_and_says_whose_it_is(
-    core: Localizer, scans: list[LaserScan]
-) -> None:
+def test_an_answer_is_that_of_localize_and_says_whose_it_is(core, scans):
     features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
     for scan in scans[:3]:
         answer = core.localize(scan, "curved")
@@ -135,7 +125,6 @@ def test_update_is_follow(core: Localizer, log: ScanSet) -> None:
     features = imgloc.prepare(imgloc.load_map(MAPS / "visibility.yaml"))
     filter_ = imgloc.make_filter("tracker", features, Options())
     alone = [moment_row(m) for m in imgloc.follow(features, log, filter_)]
-    assert log.odom is not None
     core.reset("visibility")
     for _ in range(2):  # also after a reset
         live = [core.update(s, o) for s, o in zip(log.scans, log.odom, strict=True)]
@@ -145,9 +134,7 @@ def test_update_is_follow(core: Localizer, log: ScanSet) -> None:
     assert alone[-1]["verdict"] == "unique"
 
 
-def test_what_is_known_and_what_was_calibrated_counts(
-    scans: list[LaserScan], tmp_path: Path
-) -> None:
+def test_what_is_known_and_what_was_calibrated_counts(scans, tmp_path):
     grid = imgloc.load_map(MAPS / "curved.yaml")
     imgloc.save_map(tmp_path / "a.yaml", grid)
     path = calibration_path(tmp_path / "a.yaml")
@@ -188,9 +175,7 @@ def made_lazily(features: MapFeatures) -> dict[int, set[str]]:
 
 
 @pytest.mark.parametrize("tracking", [Tracking(), Tracking("grid")])
-def test_nothing_is_made_of_a_map_after_it_is_ready(
-    scans: list[LaserScan], tracking: Tracking
-) -> None:
+def test_nothing_is_made_of_a_map_after_it_is_ready(scans, tracking):
     features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
     with Localizer(features, tracking=tracking) as core:
         assert core.ready
@@ -451,9 +436,7 @@ def test_closing_drops_what_waits_and_refuses_the_rest(scans: list[LaserScan]) -
 # Robots.
 
 
-def test_a_reset_drops_what_is_looked_at_and_waits_for_nothing(
-    log: ScanSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reset_drops_what_is_looked_at_and_waits_for_nothing(log, monkeypatch):
     """The step of an old belief goes on, but changes nothing and answers nobody."""
     entered, go = threading.Event(), threading.Event()
     step = imgloc.filters.follow.Follower.step
@@ -481,15 +464,12 @@ def test_a_reset_drops_what_is_looked_at_and_waits_for_nothing(
 
 
 def test_a_robot_that_is_told_where_it_is_is_there(log: ScanSet) -> None:
-    assert log.poses is not None
-    assert log.odom is not None
     with Localizer(imgloc.load_map(MAPS / "visibility.yaml")) as core:
         core.update(log[5], np.zeros(3))
         core.start_at(Pose2D(*log.poses[0]))
         told = [core.update(s, o).value for s, o in zip(log.scans, log.odom, strict=True)]
         assert told[0].index == 0
         assert told[3].belief.verdict == "unique"
-        assert told[3].pose is not None
         assert np.hypot(told[3].pose.x - log.poses[3, 0], told[3].pose.y - 7.0) < 0.2
         with pytest.raises(ConfigError, match="is outside of the map"):
             core.start_at(Pose2D(900, 0, 0))
@@ -497,7 +477,6 @@ def test_a_robot_that_is_told_where_it_is_is_there(log: ScanSet) -> None:
 
 
 def test_robots_do_not_know_of_each_other(log: ScanSet) -> None:
-    assert log.odom is not None
     strict = Tracking(limits=Limits(0.001, 0.0001))
     with Localizer(imgloc.load_map(MAPS / "visibility.yaml")) as core:
         one, other = core.robot(), core.robot(tracking=strict)
@@ -505,7 +484,6 @@ def test_robots_do_not_know_of_each_other(log: ScanSet) -> None:
         for scan, odom in zip(log.scans, log.odom, strict=True):
             a, b = one.update_soon(scan, odom), other.update_soon(scan, odom)
             last = a.result(30), b.result(30)
-        assert last is not None
         assert last[0].value.belief.verdict == "unique"
         assert last[1].value.withheld == "wide"
         assert last[1].value.best == last[0].value.best

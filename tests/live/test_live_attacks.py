@@ -27,12 +27,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import imgloc
+from imgloc import LaserScan, Localizer, Pose2D
 from imgloc.io.textscans import read_jsonl_line
 from imgloc.live.bounds import Bounds
 from imgloc.live.connections import has_gone
-from imgloc.live.localizer import Localizer
 from imgloc.live.service import Service
-from imgloc.model import LaserScan, Pose2D
 from imgloc.output.rows import scan_row
 
 CURVED = MAPS / "curved.yaml"
@@ -115,9 +114,7 @@ def test_a_long_list_of_indices_is_refused_before_it_is_made(service: Served) ->
     assert "at most 1,000 at once; index names some" in answer.json()["detail"]
 
 
-def test_json_of_millions_of_numbers_is_refused_before_it_holds_all_threads(
-    service: Served,
-) -> None:
+def test_json_of_millions_of_numbers_is_refused_before_it_holds_all_threads(service):
     body = b'{"angle_min": 0, "angle_increment": 0.001, "ranges": [' + b"1," * 500_000 + b"1]}"
     kind = {"Content-Type": "application/json"}
     answer = httpx.post(f"{service.address}/v1/localize", content=body, headers=kind, timeout=60)
@@ -260,7 +257,6 @@ def test_a_burst_beyond_all_descriptors_says_nothing_and_ends() -> None:
         ["bash", "-c", 'ulimit -n 64; exec "$@"', "bash", *command(["serve", "--port", 0, CURVED])],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
-        assert process.stdout is not None
         one = Served(process.stdout.readline().strip(), process)
         with contextlib.ExitStack() as stack:
             for _ in range(200):
@@ -335,7 +331,6 @@ def test_sigterm_ends_it_in_each_state_also_when_nobody_reads_what_it_says() -> 
         command(["serve", "--port", "0", CURVED]), stdout=subprocess.PIPE, stderr=write, text=True
     )
     try:
-        assert process.stdout is not None
         one = Served(process.stdout.readline().strip(), process)
         host = f"Host: 127.0.0.1:{one.port}\r\n"
         beam = f"scans={sent_scans(one, json.dumps(SCAN).encode())}&method=beam"

@@ -13,14 +13,12 @@ import pytest
 from command import MAPS, call
 
 import imgloc
-from imgloc.errors import ConfigError
-from imgloc.live.localizer import Localizer
+from imgloc import ConfigError, Localizer, Options, Sensor, simulate
 from imgloc.live.node import LocalizerNode, load_ros, with_parameters
 from imgloc.live.settings import Settings
 from imgloc.live.status import ERROR, Found, weighed
-from imgloc.options import TOLERANCE, Hint, Options, Sensor
+from imgloc.options import TOLERANCE, Hint
 from imgloc.ranges import declared
-from imgloc.simulation.scans import simulate
 
 pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of what rclpy imports
@@ -145,16 +143,12 @@ def test_scans_and_odometry_that_cannot_be_do_not_end_it(heard: Heard) -> None:
     assert heard.node._health()[0] < ERROR
 
 
-def test_a_message_that_nobody_thought_of_is_left_out(
-    heard: Heard, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_message_that_nobody_thought_of_is_left_out(heard, capfd):
     heard.send("odom", SimpleNamespace())  # any error that is not imgloc's own
     assert "odom: left out; a defect, AttributeError" in capfd.readouterr().err
 
 
-def test_a_status_that_cannot_be_told_does_not_end_the_node(
-    heard: Heard, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_status_that_cannot_be_told_does_not_end_the_node(heard, capfd):
     first, heard.node.first = heard.node.first, "a defect"  # whatever makes the timer's work fail
     heard.until(lambda: "status: left out; a defect" in capfd.readouterr().err)
     heard.node.first = first
@@ -225,7 +219,6 @@ def test_poses_are_in_the_frame_of_a_map_that_lies_anywhere(heard: Heard) -> Non
         GRID.occupied, GRID.free, GRID.resolution, imgloc.Pose2D(-512.3, 87.1, yaw)
     )
     seen = simulate(there, 3, 5, Sensor(rays=241, fov=6.0))
-    assert seen.poses is not None
     for scan, truth in zip(seen.scans, seen.poses, strict=True):
         heard.node._again()
         heard.send("odom", heard.odometry())
@@ -268,9 +261,7 @@ def test_one_stale_scan_changes_nothing_and_a_clock_set_back_does(heard: Heard) 
     assert heard.node._era == 2
 
 
-def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
-    heard: Heard, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(heard, monkeypatch):
     monkeypatch.setattr("imgloc.live.node.LATE", 0.2)
     heard.send("map", heard.map())
     heard.until(lambda: heard.core.ready)

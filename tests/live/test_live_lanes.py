@@ -8,13 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.likelihoods.stacks import likelihood
+from imgloc import METHODS, LaserScan, MapFeatures, OccupancyGrid, Options, likelihood
 from imgloc.live.held import Held
 from imgloc.live.lanes import Lane, Piece
 from imgloc.live.problems import Refused
-from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import METHODS, Options
 from imgloc.threads import Unwanted, over_slices
 
 WALLS = np.pad(np.zeros((1400, 1400), bool), 3, constant_values=True)

@@ -91,9 +91,7 @@ def told(scans: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa
 
 
 @pytest.mark.parametrize("width", [390, 1400])
-def test_a_browser_shows_the_page_without_scrolling_sideways(
-    browser: Any, told: Path, width: int
-) -> None:
+def test_a_browser_shows_the_page_without_scrolling_sideways(browser, told, width):
     page, said = browser.new_page(viewport={"width": width, "height": 900}), list[str]()
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))

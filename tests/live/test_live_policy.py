@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
-from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE, Belief
-from imgloc.filters.follow import Moment
+from imgloc import Belief, ConfigError, Hypothesis, Localization, Moment, Pose2D, Protection
+from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE
 from imgloc.live.policy import (
     CONFIRMED,
     GIVEN_UP,
@@ -19,7 +18,6 @@ from imgloc.live.policy import (
     Rules,
     alone,
 )
-from imgloc.model import Hypothesis, Localization, Pose2D, Protection
 
 HERE = Pose2D(3.0, 2.0, 0.5)
 

@@ -8,9 +8,8 @@ import pytest
 from command import MAPS
 
 import imgloc
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, LaserScan, Pose2D
 from imgloc.live.remember import MOVED, REFUSED, RESTORED, Kept, checked, identity, load_kept
-from imgloc.model import LaserScan, Pose2D
 
 KEPT = Kept("hall", "an identity", Pose2D(3.0, 2.0, 0.5), 1000.25)
 TEXT = json.dumps(asdict(KEPT))

@@ -23,20 +23,17 @@ import httpx
 import numpy as np
 import pytest
 from badfiles import YAML, png, room
-from command import MAPS, call, rows, simulating, untimed
+from command import MAPS, call, rows, simulating, spawn, untimed
+from places import drive, lines_of
 from serving import Served, memory, served, waits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import imgloc
-from imgloc.filters.motion import noisy_odometry
 from imgloc.lab.atlas import survey_part
 from imgloc.live.server import bound
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
 
 MAP = MAPS / "visibility.yaml"
-ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 STILL = {"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07, "range_max": 30.0,
          "odom": [0, 0, 0]}  # fmt: skip
 LINE = json.dumps(STILL)
@@ -97,9 +94,7 @@ def laser_scan(scans: Path, k: int) -> dict[str, Any]:
         (["--scans-index", "2", "--flipped"], {"index": "2", "flipped": "true"}),
     ],
 )  # fmt: skip
-def test_an_answer_is_what_localize_prints(
-    http: httpx.Client, scans: Path, options: list[str], asked: dict[str, Any]
-) -> None:
+def test_an_answer_is_what_localize_prints(http, scans, options, asked):
     here = call("localize", MAP, scans, "--json", *options)
     there = http.post("/v1/localize", params={"map": "visibility", **asked},
                       content=scans.read_bytes())  # fmt: skip
@@ -120,15 +115,8 @@ def test_which_is_what_which_prints(http: httpx.Client, scans: Path, tmp_path: P
 
 
 def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> None:
-    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(6)])
-    odom = noisy_odometry(poses, np.random.default_rng(0))
-    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
-    lines = [
-        json.dumps({"ranges": [round(float(r), 4) for r in ranges], "angles": ANGLES.tolist(),
-                    "range_max": 30.0, "stamp": 100.0 + k, "odom": o.tolist()})
-        for k, (ranges, o) in enumerate(zip(seen, odom, strict=True))
-    ]  # fmt: skip
-    (tmp_path / "log.jsonl").write_text("\n".join(lines))
+    lines = lines_of(drive(np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(6)])))
+    (tmp_path / "log.jsonl").write_text("".join(lines))
     here = call("track", MAP, tmp_path / "log.jsonl", "--json")
     address = f"{service.track}?map=visibility&places=true"
     with connect(address) as socket:
@@ -195,9 +183,7 @@ def test_a_map_that_is_sent_is_its_sender_s(service: Served, http: httpx.Client)
     assert http.delete(f"/v1/maps/{one['id']}").status_code == 204
 
 
-def test_a_map_outlives_many_uploads_while_a_robot_is_followed_in_it(
-    service: Served, http: httpx.Client
-) -> None:
+def test_a_map_outlives_many_uploads_while_a_robot_is_followed_in_it(service, http):
     id_ = upload(service.address, "followed", "curved").json()["id"]
     small = cv2.imencode(".png", room())[1].tobytes()
     others = list[str]()
@@ -271,9 +257,9 @@ def test_what_the_parser_of_forms_logs_is_not_printed() -> None:
         "try: parts_of(b'--y', 'multipart/form-data; boundary=x')\n"
         "except Exception as e: print(e)"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "is no form" in run.stdout
-    assert run.stderr == ""
+    run = spawn(code=code).ends(0)
+    assert "is no form" in run.out
+    assert run.err == ""
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "../../../etc/passwd", "C:\\\\boot.ini"])
@@ -350,9 +336,7 @@ def test_a_file_that_is_cut_is_answered_without_its_last_line_and_says_so(
 # How a scan fits, and layers.
 
 
-def test_a_pose_is_scored_as_the_answer_has_it_and_settles_where_the_answer_is(
-    http: httpx.Client, scans: Path
-) -> None:
+def test_a_pose_is_scored_as_the_answer_has_it_and_settles_where_the_answer_is(http, scans):
     body = scans.read_bytes()
     asked = {"map": "visibility", "index": "0"}
     best = http.post("/v1/localize", params=asked, content=body).json()["hypotheses"][0]
@@ -421,16 +405,13 @@ def test_an_atlas_is_that_of_the_laser_of_a_scan(http: httpx.Client, scans: Path
     assert "scans: missing" in problem(no_scan, 400, "bad-parameter")
 
 
-def test_marked_scans_come_back_with_their_poses(
-    http: httpx.Client, scans: Path, tmp_path: Path
-) -> None:
+def test_marked_scans_come_back_with_their_poses(http, scans, tmp_path):
     id_ = http.post("/v1/scans?name=a.npz", content=scans.read_bytes()).json()["id"]
     given = [[2, 1.5, -2.0, 0.25], [0, 3, 4, -3]]
     answer = http.post(f"/v1/scans/{id_}/marked", json={"poses": given})
     assert answer.status_code == 200, answer.text
     (tmp_path / "marked.npz").write_bytes(answer.content)
     marked, whole = imgloc.load_scans(tmp_path / "marked.npz"), imgloc.load_scans(scans)
-    assert marked.poses is not None
     assert marked.poses.tolist() == [[1.5, -2.0, 0.25], [3.0, 4.0, -3.0]]
     for one, k in zip(marked.scans, (2, 0), strict=True):
         np.testing.assert_array_equal(one.ranges, whole[k].ranges)
@@ -447,9 +428,7 @@ def test_marked_scans_come_back_with_their_poses(
     problem(nothing, 404, "not-found")
 
 
-def test_a_region_is_that_of_the_command_line(
-    http: httpx.Client, scans: Path, tmp_path: Path
-) -> None:
+def test_a_region_is_that_of_the_command_line(http, scans, tmp_path):
     region = "1,1,12,1,12,9,1,9"
     image = http.get(f"/v1/layers/region?map=visibility&region={region}")
     (tmp_path / "region.png").write_bytes(image.content)
@@ -497,10 +476,7 @@ def test_what_may_be_wrong_is_that_of_the_command_line(http: httpx.Client, scans
         ("/healthz", b"", 405, "method-not-allowed", "GET"),
     ],
 )  # fmt: skip
-def test_a_wrong_request_is_told_what_is_wrong(
-    http: httpx.Client, scans: Path, path: str, body: bytes | None, status: int, kind: str,
-    said: str,
-) -> None:  # fmt: skip
+def test_a_wrong_request_is_told_what_is_wrong(http, scans, path, body, status, kind, said):
     content = scans.read_bytes() if body is None else body
     assert said in problem(http.post(path, content=content), status, kind)
 
@@ -527,9 +503,7 @@ def bombs() -> dict[str, tuple[str, bytes]]:
 
 
 @pytest.mark.parametrize("name", ["npz", "png", "json", "csv", "lines"])
-def test_a_bomb_is_refused_before_it_is_unpacked(
-    service: Served, http: httpx.Client, name: str
-) -> None:
+def test_a_bomb_is_refused_before_it_is_unpacked(service, http, name):
     path, body = bombs()[name]
     before = memory(service, "VmHWM")
     answer = http.post(path, content=body)
@@ -606,9 +580,7 @@ def test_half_a_head_half_a_body_and_nonsense_cost_nothing(http: httpx.Client) -
         ({"Sec-Fetch-Site": "cross-site"}, "forbidden"),
     ],
 )
-def test_pages_of_other_sites_are_refused(
-    service: Served, http: httpx.Client, headers: dict[str, str], kind: str
-) -> None:
+def test_pages_of_other_sites_are_refused(service, http, headers, kind):
     problem(http.get("/v1/maps", headers=headers), 403, kind)
     if "Host" not in headers:
         with pytest.raises(Exception, match="403"):
@@ -640,7 +612,6 @@ def test_others_reach_it_by_a_token_alone(scans: Path) -> None:
     token = "a-token-of-some-length"
     with served(MAP, "--host", "0.0.0.0", IMGLOC_TOKEN=token) as one:
         assert one.address == f"http://0.0.0.0:{one.port}"
-        assert one.process.stderr is not None
         said = one.process.stderr.readline()
         there = f"http://{socket.gethostname()}:{one.port}/#token=TOKEN"
         assert there in said
@@ -866,9 +837,7 @@ def test_the_examples_with_curl_are_answered(tmp_path: Path, monkeypatch: Any) -
     ("key", "value"),
     [("angle_min", "x"), ("angle_increment", 13.6), ("angle_max", {}), ("range_max", "5")],
 )
-def test_what_a_scan_does_not_need_has_to_be_right_too(
-    http: httpx.Client, scans: Path, key: str, value: object
-) -> None:
+def test_what_a_scan_does_not_need_has_to_be_right_too(http, scans, key, value):
     body = {"angle_min": None, "mount": None, **laser_scan(scans, 0)}
     assert http.post("/v1/localize?map=visibility", json=body).status_code == 200
     answer = http.post("/v1/localize?map=visibility", json={**body, key: value})

@@ -1,14 +1,12 @@
 """What a robot is told of where it is, and how that is said to be: without ROS."""
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
-from command import ROOT, SAFE, params_of, tree
+from command import MAIN, ROOT, params_of, spawn, tree
 
 from imgloc.filters.belief import Belief
 from imgloc.filters.follow import STANDING, Moment
@@ -139,15 +137,9 @@ def test_health_names_what_keeps_a_robot_from_its_pose(change, level, said) -> N
 
 
 def test_without_ros_one_error_says_what_to_install() -> None:
-    program = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['rclpy'] = None\n"
-        "import imgloc.cli.app as a; a.main(['node', '--sensor', '0,0,0'])"
-    )
-    done = subprocess.run([sys.executable, *SAFE, "-c", program], capture_output=True, timeout=60)
-    assert done.returncode == 2
-    assert b"pip install 'imgloc[node]'" in done.stderr
-    assert b"source a ROS 2" in done.stderr
-    assert done.stderr.count(b"\n") == 1
+    run = spawn("node", "--sensor", "0,0,0", code=f"sys.modules['rclpy'] = None; {MAIN}")
+    run.ends(2, "pip install 'imgloc[node]'", "source a ROS 2")
+    assert run.err.count("\n") == 1
 
 
 def test_the_command_has_the_defaults_of_the_node_and_so_has_the_file_of_parameters() -> None:

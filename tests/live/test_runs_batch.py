@@ -17,24 +17,20 @@ from batches import QUICK, in_threads, site_in, timeless
 from command import ROOT, call
 from places import room_with_a_post
 
-from imgloc import doors, numbers
+from imgloc import ScanSet, doors, load_scans, numbers, run_batch, save_map, save_scans, simulate
 from imgloc.doors import JOBS
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import wrap
-from imgloc.io.maps import save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import Known, Options, Sensor
 from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
 from imgloc.runs import results
-from imgloc.runs.batch import find_items, run_batch
+from imgloc.runs.batch import find_items
 from imgloc.runs.jobs import Item, Job, job_class, make_job
 from imgloc.runs.opening import Desk, MapFiles, Means, ScanFiles
 from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
-from imgloc.simulation.scans import simulate
 
 ASKS = re.compile(r"number\(\s*f?\"(\w+)\.")
 
@@ -178,9 +174,7 @@ def test_a_damaged_row_is_an_error(site: Path, tmp_path: Path) -> None:
     assert path.read_bytes() == b"".join(lines)
 
 
-def test_a_row_that_is_too_long_is_no_row(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_that_is_too_long_is_no_row(site, tmp_path, monkeypatch):
     in_threads(site, out := tmp_path / "out")
     lines = (out / RESULTS).read_bytes().splitlines()
     longest = max(map(len, lines)) + 1
@@ -192,18 +186,14 @@ def test_a_row_that_is_too_long_is_no_row(
         list(read_rows(out))
 
 
-def test_a_map_is_read_once_and_without_a_standard_error(
-    site: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_map_is_read_once_and_without_a_standard_error(site, monkeypatch):
     monkeypatch.setattr("sys.stderr", None)  # as where there is no console
     desk = Means().desk()
     grid = desk.grid(site / "floors" / "post.yaml", MapFiles())
     assert desk.grid(site / "floors" / "post.yaml", MapFiles()) is grid
 
 
-def test_a_map_that_is_prepared_is_read_no_more_and_gives_way_to_the_next(
-    site: Path, tmp_path: Path
-) -> None:
+def test_a_map_that_is_prepared_is_read_no_more_and_gives_way_to_the_next(site, tmp_path):
     one, other, options = site / "floors" / "post.yaml", tmp_path / "b.yaml", Options()
     save_map(other, room_with_a_post())
     desk, maps = Desk(), MapFiles()
@@ -307,9 +297,7 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     assert columns_of(out)["status"] == ["ok"]
 
 
-def test_a_job_of_somebody_else_is_a_class_and_a_name(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_of_somebody_else_is_a_class_and_a_name(site, tmp_path, monkeypatch):
     monkeypatch.setitem(doors.JOBS, "area", "strangers:Area")
     out = tmp_path / "out"
     with ThreadPoolExecutor(1) as pool:
@@ -407,9 +395,7 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
         ("which", ["--method", "fused"], "--method: is for localize"),
     ],
 )
-def test_an_option_that_the_job_would_not_notice_is_refused(
-    site: Path, tmp_path: Path, job: str, words: list[str], said: str
-) -> None:
+def test_an_option_that_the_job_would_not_notice_is_refused(site, tmp_path, job, words, said):
     scans = [] if job == "check" else [site / "scans"]
     out = tmp_path / "out"
     run = call("batch", site / "floors", *scans, "--job", job, "--out", out, *words, "--dry-run")
@@ -472,9 +458,7 @@ def test_what_is_known_of_the_poses(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", JOBS)
-def test_other_numbers_make_other_rows_of_the_jobs_that_use_them(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_numbers_make_other_rows_of_the_jobs_that_use_them(name, monkeypatch):
     """A job uses those that its module asks for, and the modules that this one imports."""
     before, module = make_job(name).digest, job_class(name).__module__
     loaded = subprocess.run(

@@ -17,15 +17,9 @@ from command import ROOT, call, command
 from killers import Saboteur, double
 from places import room_with_a_post
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, Options, ScanSet, Sensor, make_job, run_batch, save_map, save_scans
 from imgloc.features.budget import default_budget
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Options, Sensor
-from imgloc.runs.batch import run_batch
 from imgloc.runs.cluster import cluster
-from imgloc.runs.jobs import make_job
 from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import simulate
 
@@ -94,9 +88,7 @@ def timeless(folder: Path) -> list[str]:
     return sorted(json.dumps({**row, "cost": None}) for row in read_rows(folder))
 
 
-def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(
-    site: Path, address: str, tmp_path: Path
-) -> None:
+def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(site, address, tmp_path):
     with ThreadPoolExecutor(1) as pool:
         run_batch(site / "post.yaml", site / "scans", tmp_path / "here", JOB, executor=pool)
     with distributed.Client(address) as client:

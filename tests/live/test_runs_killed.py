@@ -13,11 +13,7 @@ from command import call, command
 from killers import Saboteur
 from killloop import kill_loop
 
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.options import Options
-from imgloc.runs.batch import run_batch
-from imgloc.runs.jobs import make_job
+from imgloc import Options, ScanSet, load_scans, make_job, run_batch, save_scans
 from imgloc.runs.results import RESULTS, read_rows
 from imgloc.runs.workers import Supervised
 

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from concurrent.futures import CancelledError
-from pathlib import Path
 
 import pytest
 from command import ROOT
@@ -56,9 +55,7 @@ def test_what_hangs_is_ended() -> None:
         assert pool.submit(double, 1).result() == 2
 
 
-def test_what_a_task_needs_to_begin_is_not_of_its_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_task_needs_to_begin_is_not_of_its_time(tmp_path, monkeypatch):
     lines = ("import sys, time", "if sys.argv[0] == '-c':  # in a worker", "    time.sleep(2.0)",
              "def triple(value):", "    return 3 * value")  # fmt: skip
     (tmp_path / "slow_to_import.py").write_text("\n".join(lines))

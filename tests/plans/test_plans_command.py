@@ -8,10 +8,8 @@ import pytest
 from cabin import cabin
 from command import MAPS, call, rows
 
+from imgloc import load_map, load_scans, plan_to_map, save_scans
 from imgloc.io.images import encode_png, read_image
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.plans.floorplan import plan_to_map
 from tools.plans.drawing import draw_plan
 from tools.plans.measure import scans_of
 
@@ -94,9 +92,7 @@ def test_the_scale_may_be_two_points_and_a_plan_a_jpeg(folder: Path) -> None:
         ("--resolution 0.025 --memory-budget 1M", 2, "crop the plan"),
     ],
 )
-def test_what_cannot_be_done_is_one_clear_line(
-    folder: Path, tmp_path: Path, words: str, code: int, said: str
-) -> None:
+def test_what_cannot_be_done_is_one_clear_line(folder, tmp_path, words, code, said):
     plan, out = folder / "drawing.png", tmp_path / "out.yaml"
     run = call("map", "plan", plan, "--out", out, *words.split()).ends(code, said, out="")
     assert len(run.err.splitlines()) == 1
@@ -224,9 +220,7 @@ def test_a_frame_that_was_taken_for_the_building_is_warned_of(tmp_path: Path) ->
     assert "a rectangle surrounds a building of 1" in said
 
 
-def test_a_yaml_beside_a_plan_says_its_scale_and_where_it_lies(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_yaml_beside_a_plan_says_its_scale_and_where_it_lies(folder, tmp_path):
     (tmp_path / "a.png").write_bytes((folder / "drawing.png").read_bytes())
     yaml = f"image: a.png\nresolution: {PIXEL}\norigin: [10, 20, 0]\n"
     (tmp_path / "a.yaml").write_text(yaml)
@@ -241,9 +235,7 @@ def test_a_yaml_beside_a_plan_says_its_scale_and_where_it_lies(
     assert here.origin.y == pytest.approx(there.origin.y + 20)
 
 
-def test_a_yaml_that_is_read_is_no_output_and_its_negate_counts(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_yaml_that_is_read_is_no_output_and_its_negate_counts(folder, tmp_path):
     image = read_image(folder / "drawing.png").pixels
     (tmp_path / "a.jpg").write_bytes(cv2.imencode(".jpg", 255 - image)[1].tobytes())
     yaml = f"image: a.jpg\nresolution: {PIXEL}\norigin: [0, 0, 0]\nnegate: 1\n"

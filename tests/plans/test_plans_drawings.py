@@ -11,12 +11,9 @@ from command import call, rows
 from ezdxf.layouts import Modelspace
 from ezdxf.xclip import XClip
 
-from imgloc.errors import MapError
-from imgloc.io.maps import load_map
-from imgloc.plans.building import FloorPlan
+from imgloc import FloorPlan, MapError, load_map, simulate
 from imgloc.plans.drawn import drawing_to_maps, role_of
 from imgloc.plans.vectors import MOST, Drawing, Stroke, read_drawing
-from imgloc.simulation.scans import simulate
 from tools.plans.drawing import building
 from tools.plans.drawings import write_dxf
 from tools.plans.measure import AROUND, Row, judge, shares_found
@@ -118,9 +115,7 @@ def pdf(path: Path, scale: str = "Scale 1:100") -> Path:
         (0.01, 6, "cm, by the widths of 2 doors, and not m as the file states"),
     ],
 )
-def test_the_unit_is_that_of_the_header_if_doors_agree(
-    tmp_path: Path, unit: float, header: int, said: str
-) -> None:
+def test_the_unit_is_that_of_the_header_if_doors_agree(tmp_path, unit, header, said):
     path = dxf(tmp_path / "a.dxf", unit, header)
     run = call("map", "plan", path, "-o", tmp_path / "a.yaml", "--json").ends(0)
     (row,) = rows(run.out)

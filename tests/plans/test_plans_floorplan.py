@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from cabin import cabin
 
-from imgloc.errors import ConfigError, MapError
+from imgloc import ConfigError, FloorPlan, MapError, Pose2D, load_plan, plan_to_map
 from imgloc.io.images import encode_png
-from imgloc.model import BoolArray, Pose2D
-from imgloc.plans.building import KINDS, THICKEST, FloorPlan, enclosed, inside_of, standing
+from imgloc.model import BoolArray
+from imgloc.plans.building import KINDS, THICKEST, enclosed, inside_of, standing
 from imgloc.plans.doors import Door
-from imgloc.plans.files import load_plan
-from imgloc.plans.floorplan import STEPS, _kinds, _pen, _sheet, _swings, plan_to_map
+from imgloc.plans.floorplan import STEPS, _kinds, _pen, _sheet, _swings
 from imgloc.plans.masks import opened
 from tools.plans.drawing import Image, draw_plan, inside, solid
 from tools.plans.measure import shares_found
@@ -61,9 +60,7 @@ def plain() -> tuple[Image, FloorPlan]:
         ("grey", 0.05, None, 0.0),
     ],
 )  # fmt: skip
-def test_walls_stand_where_they_were_drawn(
-    style: str, resolution: float, noise: int | None, turn: float
-) -> None:
+def test_walls_stand_where_they_were_drawn(style, resolution, noise, turn):
     b = cabin(turn=turn)
     found = plan_to_map(upright(draw_plan(b, resolution, style, noise=noise)), resolution)
     walls, within = solid(b, CELL), inside(b, CELL)
@@ -413,9 +410,7 @@ def cabin_sheet() -> Sheet:
     ],
     ids=["turned", "photographed", "light on dark"],
 )
-def test_the_building_is_found_on_a_whole_sheet(
-    cabin_sheet: Sheet, change: Callable[[Sheet], Sheet], tmp_path: Path
-) -> None:
+def test_the_building_is_found_on_a_whole_sheet(cabin_sheet, change, tmp_path):
     sheet = change(replace(cabin_sheet, image=cabin_sheet.image.copy()))
     (tmp_path / "sheet.png").write_bytes(encode_png(sheet.image))
     found = plan_to_map(load_plan(tmp_path / "sheet.png"), sheet.resolution, origin=sheet.origin)
@@ -425,9 +420,7 @@ def test_the_building_is_found_on_a_whole_sheet(
     assert found.free_area < 1.15 * 8.7 * 5.2  # and nothing else is
 
 
-def test_thicker_walls_as_two_lines_are_looked_for_unless_it_is_given(
-    plain: tuple[Image, FloorPlan],
-) -> None:
+def test_thicker_walls_as_two_lines_are_looked_for_unless_it_is_given(plain):
     b = cabin()
     b.walls = [(a, end, 0.7 if thick == 0.3 else thick) for a, end, thick in b.walls]
     plan = upright(draw_plan(b, 0.025, "outlined", clutter=False))

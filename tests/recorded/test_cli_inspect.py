@@ -16,9 +16,8 @@ from command import MAPS, call, rows
 from places import POSES, grid_of
 
 import imgloc
+from imgloc import LaserScan, Pose2D, ScanSet
 from imgloc.answers.scanmotion import odd_laser
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D
 from imgloc.simulation.scans import simulate_ranges
 
 LOGS = {
@@ -335,9 +334,7 @@ TYPED = (  # with a scan upside down or not; what excludes one another is in the
 
 
 @pytest.mark.parametrize(("reverse", "typed"), TYPED)
-def test_the_command_to_go_on_with_has_what_was_typed(
-    tmp_path: Path, reverse: bool, typed: str
-) -> None:
+def test_the_command_to_go_on_with_has_what_was_typed(tmp_path, reverse, typed):
     angles = np.deg2rad(np.arange(-90, 90.0))
     ranges = simulate_ranges(grid_of("curved"), [POSES["curved"]], angles, range_max=20.0)[0]
     said = " ".join(f"{r:.3f}" for r in (ranges[::-1] if reverse else ranges))

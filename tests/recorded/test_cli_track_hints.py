@@ -10,8 +10,7 @@ import pytest
 from command import Run, call, rows
 
 import imgloc
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, OccupancyGrid
+from imgloc import LaserScan, OccupancyGrid, ScanSet
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +64,7 @@ def scaled(by: float) -> Callable[[LaserScan], LaserScan]:
         (scaled(0.5), 24, "agree with the odometry, if ranges are multiplied by 2: "),
     ],
 )  # fmt: skip
-def test_a_cause_is_named_and_its_remedy_helps(
-    recorded: ScanSet, place: OccupancyGrid, tmp_path: Path, change, count: int, said: str
-) -> None:
+def test_a_cause_is_named_and_its_remedy_helps(recorded, place, tmp_path, change, count, said):
     scans = each(recorded.take(range(count)), change)
     run = followed(place, scans, tmp_path)
     (hint,) = hints(run)
@@ -78,9 +75,7 @@ def test_a_cause_is_named_and_its_remedy_helps(
     assert share(mended) > max(0.8, share(run))
 
 
-def test_nothing_is_said_of_a_robot_that_is_followed(
-    few: ScanSet, place: OccupancyGrid, tmp_path: Path
-) -> None:
+def test_nothing_is_said_of_a_robot_that_is_followed(few, place, tmp_path):
     run = followed(place, few, tmp_path)
     assert not hints(run)
     words = run.err.splitlines()[-1]
@@ -91,9 +86,7 @@ def test_nothing_is_said_of_a_robot_that_is_followed(
     assert len(re.findall("ambiguous: unconfirmed", plain.out)) == len(early)
 
 
-def test_a_mirrored_map_is_told_from_a_sensor_upside_down(
-    recorded: ScanSet, place: OccupancyGrid, tmp_path: Path
-) -> None:
+def test_a_mirrored_map_is_told_from_a_sensor_upside_down(recorded, place, tmp_path):
     mirrored = OccupancyGrid(place.occupied[::-1], place.free[::-1], place.resolution)
     (hint,) = hints(followed(mirrored, recorded, tmp_path))
     assert "the image of the map is mirrored. Mirror it" in hint
@@ -101,9 +94,7 @@ def test_a_mirrored_map_is_told_from_a_sensor_upside_down(
     assert hint.endswith("the sensor does not hang upside down. Leave out --flipped")
 
 
-def test_another_building_and_an_old_map_are_told_apart(
-    shared: Path, whole: ScanSet, few: ScanSet, place: OccupancyGrid, tmp_path: Path
-) -> None:
+def test_another_building_and_an_old_map_are_told_apart(shared, whole, few, place, tmp_path):
     other = imgloc.load_map(shared / "data" / "gh25" / "map.yaml", free_thresh=0.196)
     (hint,) = hints(followed(other, few.take(range(12)), tmp_path))
     assert hint.startswith("most scans do not fit this map: is it the map of this place?")

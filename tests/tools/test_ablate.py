@@ -4,16 +4,12 @@ import json
 import sys
 from pathlib import Path
 
-import pytest
-
 from imgloc.numbers import NUMBERS, number
 from tools import vary
 from tools.ablate import BASE, STEPS, main
 
 
-def test_a_number_is_another_one_where_a_tool_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_number_is_another_one_where_a_tool_runs(tmp_path, monkeypatch, capsys):
     code = "import sys, imgloc.numbers as n; print(sys.argv[1:], n.number('align.slack'))"
     (tmp_path / "some_tool.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)

@@ -8,17 +8,11 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, Pose2D, Sensor, prepare, save_map, save_scans, simulate
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.geometry import in_grid_frame, uniform_thetas
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
 from imgloc.likelihoods.cbml import cbml
 from imgloc.likelihoods.ght import ght
-from imgloc.model import Pose2D
-from imgloc.options import Sensor
-from imgloc.pipeline import prepare
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.bench.__main__ import (
     PAIR_HEADINGS,

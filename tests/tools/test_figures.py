@@ -1,15 +1,9 @@
 """The figures of README and the docs are those of the measured pages."""
 
-from pathlib import Path
-
-import pytest
-
 from tools import figures
 
 
-def test_all_pages_have_the_figures_of_the_measured_pages(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_all_pages_have_the_figures_of_the_measured_pages(capsys):
     assert figures.main(["--check"]) == 0, capsys.readouterr().out
 
 
@@ -24,9 +18,7 @@ def test_the_figures_are_counted_from_the_rows() -> None:
     )
 
 
-def test_a_page_with_other_figures_is_named_and_mended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_page_with_other_figures_is_named_and_mended(tmp_path, monkeypatch, capsys):
     page = tmp_path / "a.md"
     page.write_text("x\n<!-- figures: wrong -->\nOf 3 scans 1.\n<!-- end -->\ny\n")
     monkeypatch.setattr(figures, "PAGES", (page,))

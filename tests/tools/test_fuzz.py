@@ -41,9 +41,7 @@ def planted(kind: str) -> tuple[Target, int]:
         ("swallow", "memory: "),
     ],
 )
-def test_a_planted_defect_is_found_and_the_run_goes_on(
-    tmp_path: Path, kind: str, found: str
-) -> None:
+def test_a_planted_defect_is_found_and_the_run_goes_on(tmp_path, kind, found):
     target, seed = planted(kind)
     count = fuzz(target, tmp_path / "out", seed=seed, runs=RUNS, limit=0.5, memory=MEMORY[kind])
     assert (count.executions, count.accepted, count.findings) == (RUNS, RUNS - 1, 1)
@@ -53,9 +51,7 @@ def test_a_planted_defect_is_found_and_the_run_goes_on(
     assert text.with_suffix(".input").read_bytes() == b""
 
 
-def test_the_command_says_a_line_a_target_and_whether_all_is_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_says_a_line_a_target_and_whether_all_is_well(tmp_path, monkeypatch):
     target, seed = planted("key")
     monkeypatch.setitem(TARGETS, "planted", target)
     again = ("--runs", RUNS, "--seed", seed, "--out", tmp_path / "out")

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from imgloc.model import Pose2D
-from imgloc.output.canvas import Picture
+from imgloc import Picture, Pose2D
 from tools.paper.figures import draw_comparison, draw_fields, ring, scene
 
 RED, BLUE = (60, 20, 220), (178, 114, 0)

@@ -14,9 +14,7 @@ def test_a_picture_is_what_the_code_draws(name: str, capsys: pytest.CaptureFixtu
     assert pictures.main(["--check", name]) == 0, capsys.readouterr().out
 
 
-def test_a_stale_picture_is_noticed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stale_picture_is_noticed(monkeypatch, capsys):
     there, made_by = pictures.load(pictures.FOLDER / "track.png")
     assert re.fullmatch(r"matplotlib \d+\.\d+", made_by)
     now = cv2.circle(there.copy(), (600, 140), 12, (60, 20, 220), -1)  # a robot that was not there

@@ -5,10 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from imgloc import ConfigError
+from imgloc import ConfigError, save_map, save_scans
 from imgloc.filters.watch import DISAGREES
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
 from tools.robot import restart, soak, watch
 from tools.robot.__main__ import main
 from tools.robot.places import Place, known, recorded, simulated

@@ -69,9 +69,7 @@ def test_the_health_check_fails_unless_the_service_answers() -> None:
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-def test_a_unit_with_a_wrong_line_is_noticed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_unit_with_a_wrong_line_is_noticed(tmp_path, monkeypatch):
     assert "verified" in ship.verify_unit()
     text = ship.UNIT.read_text("utf-8")
     monkeypatch.setattr(ship, "UNIT", tmp_path / "imgloc.service")

@@ -7,14 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imgloc import LaserScan, Options, ScanSet, load_map, load_scans, prepare, save_map, save_scans
 from imgloc.filters.evidence import Places
 from imgloc.filters.follow import with_odometry
-from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
-from imgloc.options import Options
-from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools import blackouts, drive, old_maps, sequences

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
+from imgloc import FusedOptions, OccupancyGrid, Options, Sensor, localize, prepare, simulate
 from imgloc.features.pyramid import Level
-from imgloc.model import OccupancyGrid
-from imgloc.options import EvidenceModel, FusedOptions, Options, Sensor
-from imgloc.pipeline import localize, prepare
+from imgloc.options import EvidenceModel
 from imgloc.search.modes import Modes
 from imgloc.search.rescore import Scores
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.exhaustive import exhaustive, joined, propose_all, score_level
 

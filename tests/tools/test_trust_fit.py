@@ -8,12 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imgloc.model import LaserScan, OccupancyGrid
+from imgloc import LaserScan, OccupancyGrid, Trust, prepare, simulate
 from imgloc.numbers import FILE, read
-from imgloc.options import Trust
-from imgloc.pipeline import prepare
 from imgloc.search.hypotheses import masses
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
 from tools.trust.disturb import MAPS, PRIORS, SCANS, shut

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
+from imgloc import Hypothesis, Localization, Pose2D, save_map, simulate
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
-from imgloc.io.maps import save_map
-from imgloc.model import Hypothesis, Localization, Pose2D
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.plans.drawing import building, true_world
 from tools.trust import foreign

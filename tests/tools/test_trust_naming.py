@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from command import run
 
-from imgloc.errors import ConfigError
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.options import Sensor
-from imgloc.simulation.scans import simulate
+from imgloc import ConfigError, Sensor, save_map, save_scans, simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
 from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of

@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 from command import ROOT, run
 
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import Hypothesis, Localization, Pose2D
-from imgloc.options import Sensor
-from imgloc.pipeline import prepare
+from imgloc import Hypothesis, Localization, Pose2D, ScanSet, Sensor, prepare, save_map, save_scans
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main

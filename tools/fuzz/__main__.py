@@ -22,11 +22,10 @@ from tools.script import ended, one_of, parser_of
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, execute, print; return the exit code."""
-    parser = parser_of("tools.fuzz", __doc__)
+    parser = parser_of("tools.fuzz", __doc__, seed=0)
     parser.add_argument("targets", nargs="*", help=f"of {', '.join(TARGETS)}; all by default")
     parser.add_argument("--runs", type=int, help="inputs of each target")
     parser.add_argument("--seconds", type=float, help="of all targets together")
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("fuzz"), help="folder of findings")
     parser.add_argument("--input", type=Path, help="execute this file alone")
     given = parser.parse_args(arguments)

@@ -6,11 +6,10 @@ A map maker of your own: rays of scans with known poses, counted, are a map to l
 import cv2
 import numpy as np
 
-from imgloc import OccupancyGrid, Picture, draw, load_map, localize, prepare, simulate
+from imgloc import OccupancyGrid, Picture, Pose2D, draw, load_map, localize, prepare, simulate
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import transform_points
 from imgloc.io.maps import bundled_maps
-from imgloc.model import Pose2D
 
 
 def picture() -> Picture:

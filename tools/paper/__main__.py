@@ -21,8 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.__about__ import __version__
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, __version__
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
@@ -42,7 +41,7 @@ TIMED, TIMED_QUICK = (8, 3), (2, 1)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, run, write the files; return the exit code."""
-    parser = parser_of("tools.paper", __doc__)
+    parser = parser_of("tools.paper", __doc__, seed=0)
     parser.add_argument("--out", type=Path, required=True, help="folder, made if need be")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} trials, time nothing twice")
     parser.add_argument("-n", type=int, help="trials in each world (default: 100)")
@@ -50,7 +49,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--worlds", nargs="+", choices=tuple(PLACES), default=tuple(PLACES), metavar="WORLD",
         help="of the table (default: visibility large curved)",
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, help="of everything random (default: 0)")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--force", action="store_true", help="overwrite files in --out")
     given = parser.parse_args(arguments)

@@ -6,8 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc import LaserScan, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import LaserScan, Likelihood, MapFeatures, OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import centre_of, transform_points, uniform_thetas
 from imgloc.lab.performance_index import global_maximum

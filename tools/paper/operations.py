@@ -147,10 +147,9 @@ def markdown(rows: Sequence[OperationRow]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, compare, print the table."""
-    parser = parser_of("tools.paper.operations", __doc__)
+    parser = parser_of("tools.paper.operations", __doc__, seed=0)
     parser.add_argument("-n", type=int, default=40, help="scans in each world (default: 40)")
     parser.add_argument("--worlds", nargs="+", choices=tuple(PLACES), default=tuple(PLACES))
-    parser.add_argument("--seed", type=int, default=0, help="of everything random (default: 0)")
     given = parser.parse_args(arguments)
 
     def run() -> int:

@@ -9,13 +9,11 @@ import cv2
 import numpy as np
 from ezdxf.filemanagement import new
 
-from imgloc import OccupancyGrid
-from imgloc.errors import ImglocError
+from imgloc import ImglocError, OccupancyGrid, simulate
 from imgloc.geometry import rotation
 from imgloc.model import Float32Array, IntArray
 from imgloc.plans.drawn import drawing_to_maps
 from imgloc.plans.vectors import read_drawing
-from imgloc.simulation.scans import simulate
 from tools.plans.drawing import Building, leaves, solid
 from tools.plans.measure import AROUND, Row, judge
 

@@ -8,12 +8,11 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 
-from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, load_map, plan_to_map
+from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, Sensor, load_map, plan_to_map
 from imgloc.errors import MapError
 from imgloc.geometry import pose_errors, poses_of, rotation, values_at
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
-from imgloc.options import Sensor
 from imgloc.pipeline import localize, prepare
 from imgloc.plans.files import load_plan
 from imgloc.simulation.scans import simulate

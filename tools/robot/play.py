@@ -10,11 +10,10 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from imgloc import LaserScan, OccupancyGrid, ScanSet
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, LaserScan, OccupancyGrid, Pose2D, ScanSet
 from imgloc.io.messages import pose_fields
 from imgloc.live.messages import fill
-from imgloc.model import FloatArray, Pose2D, base_of, compose
+from imgloc.model import FloatArray, base_of, compose
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

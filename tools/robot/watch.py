@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc import LaserScan, MapFeatures, Options, Pose2D, ScanSet, localize
-from imgloc.filters.follow import Moment, Tracking
+from imgloc import LaserScan, MapFeatures, Moment, Options, Pose2D, ScanSet, Tracking, localize
 from imgloc.filters.motion import compose_poses
 from imgloc.filters.watch import AGREES, DISAGREES, Opinion, Watch
 from imgloc.geometry import transform_poses, wrap

@@ -33,14 +33,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc import MapFeatures, Options, ScanSet, Sensor, Trust, load_map, prepare
+from imgloc import MapFeatures, Options, ScanSet, Sensor, Trust, load_map, prepare, simulate
 from imgloc.cli.inputs import maps_in
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
 from imgloc.numbers import FILE
-from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS
 from tools.recorded import in_world, recorded_sets
 from tools.script import at_least_one, ended, parser_of, progress

@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc import LaserScan, Localization, MapFeatures, Options, Pose2D, ScanSet, localize
+from imgloc import LaserScan, Localization, MapFeatures, Options, Pose2D, ScanSet, Shared, localize
 from imgloc.geometry import in_grid_frame, wrap
 from imgloc.lab.bound import least_covariances
 from imgloc.lab.calibrate import fit_depth
 from imgloc.model import FloatArray
-from imgloc.options import Shared
 from tools.script import table_lines
 
 REGION = 7.815
