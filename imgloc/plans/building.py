@@ -15,8 +15,7 @@ import numpy.typing as npt
 from skimage.morphology import skeletonize
 
 from imgloc.features.distance import distance_transform
-from imgloc.geometry import rotation
-from imgloc.model import BoolArray, OccupancyGrid, Pose2D, plain
+from imgloc.model import BoolArray, OccupancyGrid, Pose2D, compose, plain
 from imgloc.numbers import number
 from imgloc.plans import masks
 
@@ -303,8 +302,7 @@ def _as_grid(
     pad = round(0.5 / cell)
     left, low = x - pad, y - pad
     rows, columns = slice(y, y + high), slice(x, x + wide)
-    turned = rotation(origin.theta) @ (left * cell, low * cell)
-    corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
+    corner = compose(origin, Pose2D(left * cell, low * cell))
     stands = None
     if movable is not None and movable.any():  # a line of one pixel takes a cell that it crosses
         stands = np.pad((free & (masks.coarser(movable, parts) * parts > 0.5))[rows, columns], pad)

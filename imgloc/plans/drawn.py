@@ -21,8 +21,7 @@ from scipy.spatial import cKDTree
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.distance import distance_transform
-from imgloc.geometry import rotation
-from imgloc.model import BoolArray, FloatArray, IntArray, Pose2D
+from imgloc.model import BoolArray, FloatArray, IntArray, Pose2D, compose
 from imgloc.plans import building, masks
 from imgloc.plans.building import FloorPlan, Kind
 from imgloc.plans.doors import LEAVES, Door, dense, doors_of
@@ -32,6 +31,7 @@ _KIND = {
     "": Kind.LINE, "wall": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
     "door": Kind.SWING,
 }  # fmt: skip
+_WALLS = ("wall", "window")
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
 _SIZES = (3.0, 1000.0)  # metres that a floor may be long
 _ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
@@ -82,34 +82,31 @@ def _role(name: str) -> str:
 
 def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tuple[float, str]:
     """Metres of a unit of a drawing, and how that was found: from its header, if doors agree."""
-    parts = [
-        s.points for s, r in zip(drawing.strokes, roles, strict=True) if r in ("wall", "window")
-    ]
-    points = np.concatenate(parts or [s.points for s in drawing.strokes])
+    some = [s.points for s, r in zip(drawing.strokes, roles, strict=True) if r in _WALLS]
+    points = np.concatenate(some or [s.points for s in drawing.strokes])
     span = float(np.ptp(np.percentile(points, (5, 95), axis=0), axis=0).max())
     widths = np.array([d.width for d in doors])
 
     def agree(unit: float) -> int:
         fits = _SIZES[0] < span * unit < _SIZES[1]
-        leaves = (widths * unit > LEAVES[0]) & (widths * unit < LEAVES[1])
-        return fits * int(np.count_nonzero(leaves))
+        return fits * int(
+            np.count_nonzero((widths * unit > LEAVES[0]) & (widths * unit < LEAVES[1]))
+        )
 
-    votes = {
-        unit: 0 if drawing.page else agree(unit) for unit in NAMES if unit not in (0.1, 0.9144)
-    }
-    best = max(votes, key=lambda unit: votes[unit])
-    most = max(votes[best], *(agree(unit) for unit, _ in drawing.units), 0)
+    guesses = [] if drawing.page else [unit for unit in NAMES if unit not in (0.1, 0.9144)]
+    most = max(map(agree, [*guesses, *(unit for unit, _ in drawing.units)]), default=0)
     for unit, said in drawing.units:
         if 2 * agree(unit) > most and (agree(unit) >= 2 or len(doors) < 3):
             return unit, f"{said} as the file states, and {agree(unit)} doors fit"
         if not len(doors) and _SIZES[0] < span * unit < _SIZES[1]:
             return unit, f"{said} as the file states; there is no door to check it by"
-    stated = [said for _, said in drawing.units]
-    if votes[best] >= 2:
-        but = f", and not {stated[0]} as the file states" if stated else ""
-        return best, f"{NAMES[best]}, by the widths of {votes[best]} doors{but}"
+    stated = " or ".join(said for _, said in drawing.units)
+    best = max(guesses, key=agree, default=0.0)
+    if agree(best) >= 2:
+        but = f", and not {stated} as the file states" if stated else ""
+        return best, f"{NAMES[best]}, by the widths of {agree(best)} doors{but}"
     raise MapError(
-        f"its scale is unknown: the file states {' or '.join(stated) or 'none'}, and no doors fit; "
+        f"its scale is unknown: the file states {stated or 'none'}, and no doors fit; "
         "`resolution` is metres a unit of the drawing, and `distance` finds it"
     )
 
@@ -130,7 +127,7 @@ class Sheet:
     corner: FloatArray  #: (2,) metres
     pixel: float
     parts: int  #: pixels along a cell
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
     unit: float  #: metres
 
     def fixed(self, points: FloatArray) -> npt.NDArray[np.int32]:
@@ -209,7 +206,7 @@ def drawing_to_maps(
     roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
     best, plans, box = list[Floor](), list[FloorPlan](), np.inf
     pairs = [(s, role) for s, role in zip(drawing.strokes, roles, strict=True) if not s.dashed]
-    for taken in (("wall", "window"), ("wall", "window", "")):
+    for taken in (_WALLS, (*_WALLS, "")):
         some = [s for s, role in pairs if role in taken]
         if not some or (walls and "" in taken):
             continue
@@ -280,7 +277,7 @@ def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
             name: "wall" if of[name] & taken else "" if role == "wall" else role
             for name, role in names.items()
         }
-    if not {"wall", "window", ""} & {*names.values()}:  # a program names what its parts are
+    if not {*_WALLS, ""} & {*names.values()}:  # a program names what its parts are
         return [""] * len(strokes)
     return [names[s.layer] for s in strokes]
 
@@ -399,25 +396,26 @@ def _floors_of(
     spans = masks.spans(stats)
     at = np.array([sheet.at(d.closed, labels, cell) for d in leaves], int)
     doors = np.bincount(at, minlength=len(stats))[1:].max(initial=0) > 1
+    pad, bare = round(_AROUND / cell), masks.coarser(firm | shut, parts) > 0
     for k in np.argsort(-spans, kind="stable").tolist():
         most = max((f.area for f in floors), default=0)
         if spans[k] <= max(building.LEAST / cell**2, building.OTHER * most):
             break
         if doors and not (at == k).any():  # a frame, a site or a section, where others have doors
             continue
-        x, y, wide, high = stats[k, :4].tolist()
-        here = slice(y, y + high), slice(x, x + wide)
-        inside = np.zeros_like(taken)
-        inside[here], closed = building.inside_of((taken & (labels == k))[here], cell, gap)
+        corner = np.maximum(stats[k, :2] - pad, 0)  # column and row
+        here = tuple(map(slice, corner[::-1], (stats[k, :4].reshape(2, 2).sum(axis=0) + pad)[::-1]))
         fine = tuple(slice(s.start * parts, s.stop * parts) for s in here)
-        bare = (masks.coarser(firm | shut, parts) > 0) & (labels == k)
-        less, _ = building.inside_of(bare[here], cell, gap)
-        walls[fine], inside[here] = _cleared(walls[fine], firm[fine], inside[here], less, cell)
+        own, lines = labels[here] == k, walls[fine]
+        inside, closed = building.inside_of(taken[here] & own, cell, gap)
+        less, _ = building.inside_of(bare[here] & own, cell, gap)
+        lines, inside = _cleared(lines, firm[fine], inside, less, cell)
         if np.count_nonzero(inside) * cell**2 > building.LEAST:
-            own = building.touching(walls, masks.finer(inside, parts))
-            between = (masks.coarser(shut & ~walls, parts) > 0) & masks.grown(inside, 1)
+            lines = building.touching(lines, masks.finer(inside, parts))
+            inside |= (masks.coarser(shut[fine] & ~lines, parts) > 0) & masks.grown(inside, 1)
             hung = [d for d, of in zip(leaves, at, strict=True) if of == k]
-            floors.append(Floor(sheet, own, shut, hung, inside | between, closed, not named))
+            part = replace(sheet, corner=low + corner * cell, shape=lines.shape)
+            floors.append(Floor(part, lines, shut[fine], hung, inside, closed, not named))
     return floors
 
 
@@ -482,27 +480,15 @@ def _map_of(
     said: str, *, furniture: bool,
 ) -> FloorPlan:  # fmt: skip
     """The map of a floor, and what each pixel around it was taken for."""
-    sheet, cell = floor.sheet, floor.sheet.pixel * floor.sheet.parts
-    n, pad = sheet.parts, round(_AROUND / cell)
-    built = masks.finer(floor.inside, n) | floor.walls
-    x, y, wide, high = cv2.boundingRect(built.astype(np.uint8))
-    rows, columns = (
-        slice(max(0, low // n - pad), -(-(low + size) // n) + pad)
-        for low, size in ((y, high), (x, wide))
-    )
-    fine = tuple(slice(s.start * n, s.stop * n) for s in (rows, columns))
-    inside = floor.inside[rows, columns]
-    walls, shut = floor.walls[fine], floor.shut[fine]
+    sheet, n, inside = floor.sheet, floor.sheet.parts, floor.inside
+    walls, shut, cell = floor.walls, floor.shut, sheet.pixel * n
     kinds = np.zeros(sheet.shape, np.uint8)
     # Where no name tells furniture, a line that is no wall may be some.
     for role, kind in (_KIND | {"": Kind.SYMBOL if floor.guessed else Kind.LINE}).items():
         kinds[sheet.lines(s for s, r in zip(strokes, roles, strict=True) if r == role)] = kind
-    kinds = kinds[fine]
     kinds[(kinds > 0) & ~masks.grown(masks.finer(inside, n), 2)] = Kind.OUTSIDE
     kinds[walls] = Kind.WALL
-    at = sheet.corner + np.array((columns.start, rows.start)) * cell
-    at = rotation(origin.theta) @ at
-    corner = Pose2D(origin.x + at[0], origin.y + at[1], origin.theta)
+    corner = compose(origin, Pose2D(*sheet.corner.tolist()))
     more, movable, within = np.zeros_like(walls), np.zeros_like(walls), masks.finer(inside, n)
     (more if doors == "closed" else movable)[shut & within] = True
     (more if furniture else movable)[(kinds == Kind.SYMBOL) & within] = True
