@@ -5,7 +5,7 @@ Groups, copies, forms, styles and clips are unfolded.
 
 import re
 from collections.abc import Iterator, Sequence
-from ctypes import c_float, c_int, c_uint
+from ctypes import c_float, c_int, c_uint, c_ulong, c_ushort
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -17,23 +17,25 @@ import svgelements
 from ezdxf.math import Vec2
 from ezdxf.math.clipping import ClippingRect2d
 from pypdfium2 import PdfDocument, PdfiumError
-from svgelements import Close, Color, Line, Matrix, Move, Path
+from svgelements import Close, Color, Length, Line, Matrix, Move, Path, Viewbox
 
 from imgloc.errors import MapError
 from imgloc.model import FloatArray
+from imgloc.plans.building import ENOUGH
 from imgloc.plans.vectors import DEEP, MOST, Drawing, Stroke, bounded, drawn
 
 _ALL = np.array([(-np.inf, -np.inf), (np.inf, np.inf)])  # corners of what is not cut
 _SCALE = re.compile(r"(?<![\d:.])1 ?[:/] ?(\d{1,4})(?![\d:\"])")
 _INCHES = re.compile(r"(?<![\d/])(\d{1,2})(?:/(\d{1,2}))?\" ?= ?(\d{1,3})'")  # on paper, feet
 _MM = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72, "m": 1000.0}
-_WHITE = 0.8  # an area as light hides what is under it, and is none of the building
 _SHAPES = {
     "path": "Path", "line": "SimpleLine", "rect": "Rect", "polyline": "Polyline",
     "polygon": "Polygon", "circle": "Circle", "ellipse": "Ellipse",
 }  # fmt: skip
 _SHAPE = re.compile("d|r?[xy]|c[xy]|r|[xy][12]|width|height|points")
-_INHERITED = {"fill", "stroke", "stroke-width", "stroke-dasharray", "visibility"}
+_INHERITED = {"fill", "stroke", "stroke-width", "stroke-dasharray", "visibility", "fill-opacity",
+              "stroke-opacity"}  # fmt: skip
+_NOTHING = re.compile(r"none|[0.]*(%|px|mm)?")  # as a colour, a width, an opacity
 _PAGES = 30
 
 
@@ -62,14 +64,18 @@ def read_svg(data: bytes) -> Drawing:
         for name in ("*", tag, *classes, f"#{e.get('id', '')}"):
             style |= styles.get(name, {})
         style |= _rules(e.get("style", ""))
-        if style.get("display") == "none":
+        if style.get("display") == "none" or _NOTHING.fullmatch(style.get("opacity", "1")):
             continue
         try:
             matrix = Matrix(e.get("transform", "")) * matrix
             key = style.pop("clip-path", "").partition("#")[2].rstrip(")\"' "), str(matrix)
             if key[0] in known:
                 if key not in cuts:
-                    cuts[key] = [point for s in _cut(known[key[0]], matrix) for point in s.points]
+                    cuts[key] = [
+                        point for part in known[key[0]]
+                        for s in _shaped(part, Matrix(part.get("transform", "")) * matrix, "", {})
+                        for point in s.points
+                    ]  # fmt: skip
                     count += len(cuts[key])
                 box = _within(box, cuts[key])
             if tag in ("text", "tspan"):
@@ -77,6 +83,8 @@ def read_svg(data: bytes) -> Drawing:
             elif tag in ("g", "svg", "a", "switch") or (tag == "symbol" and path):
                 label = next((v for k, v in e.items() if k.endswith("}label")), e.get("id", ""))
                 layer = f"{label} / {layer}" if layer and label else layer or label
+                if tag in ("svg", "symbol") and e is not root:
+                    matrix = _view(e, style) * matrix
                 inherited = {k: v for k, v in style.items() if k in _INHERITED}
                 waiting += [(child, matrix, layer, inherited, path, box) for child in reversed(e)]
             elif tag == "use":
@@ -87,7 +95,7 @@ def read_svg(data: bytes) -> Drawing:
                 if name in known:
                     waiting.append((known[name], place, layer, style, (*path, name), box))
             else:
-                for stroke in _shaped(e, tag, matrix, layer, style):
+                for stroke in _shaped(e, matrix, layer, style):
                     strokes += _clipped(stroke, box)
         except (ValueError, TypeError, ArithmeticError, IndexError, AttributeError) as error:
             raise MapError(f"its element {tag} cannot be read: {str(error)[:80]}") from None
@@ -113,6 +121,18 @@ def _paper(root: Any) -> float:
     return min(units, default=0.0)  # a page of another shape than its box has margins
 
 
+def _view(e: Any, style: dict[str, str]) -> Matrix:
+    """Where the parts of an SVG in another are, or of a symbol, which is as large as its use."""
+    at = [Length(e.get(key, 0)).value(ppi=96) for key in ("x", "y")]
+    own = [float(n) for n in re.findall(r"[-+\d.eE]+", e.get("viewBox", ""))]
+    if len(own) != 4:
+        return Matrix(f"translate({at[0]},{at[1]})")
+    size = [
+        Length(style.get(k, "100%")).value(96, own[n]) for n, k in ((2, "width"), (3, "height"))
+    ]
+    return Matrix(Viewbox.viewbox_transform(*at, *size, *own, e.get("preserveAspectRatio")))
+
+
 def _styles(sheet: str) -> dict[str, dict[str, str]]:
     """Properties by `tag`, `.class` and `#id`, the last part of each selector."""
     out = dict[str, dict[str, str]]()
@@ -129,26 +149,22 @@ def _rules(text: str) -> dict[str, str]:
     return dict(re.findall(r"([\w-]+)\s*:\s*([^;]*[^;\s])", text))
 
 
-def _shaped(e: Any, tag: str, matrix: Any, layer: str, style: dict[str, str]) -> Iterator[Stroke]:
+def _shaped(e: Any, matrix: Any, layer: str, style: dict[str, str]) -> Iterator[Stroke]:
     """The strokes of one shape of an SVG."""
-    fill, stroke = style.get("fill", "black"), style.get("stroke", "none") != "none"
-    tone = None if fill == "none" or fill.startswith("url") else Color(fill)
-    filled = tone is not None and tone.red + tone.green + tone.blue < _WHITE * 765
-    if tag not in _SHAPES or not (filled or stroke) or style.get("visibility") == "hidden":
+    fill, seen = style.get("fill", "black"), dict[str, bool]()
+    for key in _INHERITED:
+        seen[key] = not _NOTHING.fullmatch(style.get(key, "none" if key == "stroke" else "1"))
+    stroke = seen["stroke"] and seen["stroke-width"] and seen["stroke-opacity"]
+    tone = Color(fill if seen["fill"] and not fill.startswith("url") else "transparent")
+    filled = seen["fill-opacity"] and _dark(tone.red, tone.green, tone.blue, tone.alpha)
+    if _tag(e) not in _SHAPES or not (filled or stroke) or style.get("visibility") == "hidden":
         return
     width = re.match(r"[\d.]+", style.get("stroke-width", "1"))
     wide = float(width[0]) * abs(matrix.determinant) ** 0.5 if width and stroke else 0.0
-    dashed = style.get("stroke-dasharray", "none") not in ("none", "0", "")
+    dashed = "stroke-dasharray" in style and seen["stroke-dasharray"]
     known = {k: v for k, v in e.items() if _SHAPE.fullmatch(k)}
-    for points in _ways(getattr(svgelements, _SHAPES[tag])(known), matrix):
+    for points in _ways(getattr(svgelements, _SHAPES[_tag(e)])(known), matrix):
         yield Stroke(points, layer, filled, dashed, wide)
-
-
-def _cut(clip: Any, matrix: Any) -> Iterator[Stroke]:
-    """The lines of what others are cut to."""
-    for part in clip:
-        at = Matrix(part.get("transform", "")) * matrix
-        yield from _shaped(part, _tag(part), at, "", {"stroke": "black"})
 
 
 def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:
@@ -170,29 +186,34 @@ def read_pdf(data: bytes) -> Drawing:
     """Read what is drawn on the pages of a PDF, one below the other."""
     try:
         document = PdfDocument(data)
-        strokes, texts, low = list[Stroke](), list[str](), 0.0
+        strokes, texts, low, off = list[Stroke](), list[str](), 0.0, _hidden(data)
         for number in range(min(len(document), _PAGES)):
             page = document[number]
             texts.append(page.get_textpage().get_text_bounded()[:100_000])
-            strokes += _page(page, low)
+            strokes += (s for s in _page(page, low) if s.layer not in off)
             low -= 3 * page.get_height()
             bounded(len(strokes))
     except PdfiumError as error:
         raise MapError(f"it cannot be read as PDF: {error}") from None
     lacks = () if strokes else ("images or text: save it as PNG, of which maps are made, too",)
-    units = _stated(_MM["pt"] / 1000, texts)
+    unit = re.search(rb"/UserUnit\s*([\d.]+)", data)
+    units = _stated(_MM["pt"] / 1000 * float(unit[1] if unit else 1), texts)
     return Drawing(strokes, units, page=True, missing=lacks)
 
 
 def _page(page: Any, low: float) -> Iterator[Stroke]:
     """The strokes of a page, `low` above where it is."""
-    ends = np.array(page.get_cropbox()).reshape(2, 2) + (0, low)
+    ends, first = np.array(page.get_cropbox()).reshape(2, 2), Matrix()
+    first.post_rotate(-np.deg2rad(page.get_rotation()))
+    turned = _within(_ALL, [first.point_in_matrix_space(end) for end in ends])
+    first.post_translate(*(ends[0] - turned[0] + (0, low)))
+    ends = turned + (ends[0] - turned[0] + (0, low))
 
     @lru_cache(DEEP)
     def frame(obj: Any) -> tuple[Matrix, FloatArray]:
         """Where the parts of an object are, and the box that they are cut to."""
         if obj is None:
-            return Matrix(f"translate(0,{low})"), ends
+            return first, ends
         (outer, box), clip = frame(obj.container), raw.FPDFPageObj_GetClipPath(obj)
         for k in range(raw.FPDFClipPath_CountPaths(clip)):
             n = min(raw.FPDFClipPath_CountPathSegments(clip, k), MOST)
@@ -210,13 +231,35 @@ def _page(page: Any, low: float) -> Iterator[Stroke]:
         raw.FPDFPath_GetDrawMode(obj, mode, drawn)
         raw.FPDFPageObj_GetFillColor(obj, *rgba)
         raw.FPDFPageObj_GetStrokeWidth(obj, wide)
-        light = sum(c.value for c in rgba[:3]) >= _WHITE * 765 or rgba[3].value < 50
-        filled, dashed = bool(mode.value) and not light, raw.FPDFPageObj_GetDashCount(obj) > 0
+        filled = bool(mode.value) and _dark(*(c.value for c in rgba))
+        dashed = raw.FPDFPageObj_GetDashCount(obj) > 0
         if filled or drawn.value:
             matrix, box = frame(obj)
             width = wide.value * abs(matrix.determinant) ** 0.5 if drawn.value else 0.0
             for points in _ways(_path(obj), matrix):
-                yield from _clipped(Stroke(points, "", filled, dashed, width), box)
+                yield from _clipped(Stroke(points, _layer(obj), filled, dashed, width), box)
+
+
+def _layer(obj: Any) -> str:
+    """The layer that an object is on; empty for none."""
+    name, size = (c_ushort * 200)(), c_ulong()
+    for k in range(raw.FPDFPageObj_CountMarks(obj)):
+        mark = raw.FPDFPageObj_GetMark(obj, k)
+        if raw.FPDFPageObjMark_GetParamStringValue(mark, b"Name", name, 400, size):
+            return bytes(name)[: size.value].decode("utf-16-le", "replace").rstrip("\0")
+    return ""
+
+
+def _hidden(data: bytes) -> set[str]:
+    """Layers of a PDF that are off, if it states them uncompressed."""
+    off = re.search(rb"/OFF\s*\[([\d R\s]*)\]", data)
+    names = set[str]()
+    for number in re.findall(rb"(\d+) \d+ R", off[1] if off else b""):
+        name = re.search(rb"\b%s 0 obj[^)]{0,200}?/Name\s*\(([^)]*)\)" % number, data)
+        if name:
+            wide = name[1].startswith(b"\xfe\xff")
+            names.add(name[1].decode("utf-16" if wide else "latin-1", "replace"))
+    return names
 
 
 def _path(obj: Any) -> str:
@@ -237,6 +280,11 @@ def _point(segment: Any) -> tuple[float, float]:
     x, y = c_float(), c_float()
     raw.FPDFPathSegment_GetPoint(segment, x, y)
     return x.value, y.value
+
+
+def _dark(red: float, green: float, blue: float, alpha: float) -> bool:
+    """Return whether a colour, 0 to 255, is none that is as light as paper, nor lets it through."""
+    return red + green + blue < ENOUGH * 765 and alpha >= 50
 
 
 def _clipped(stroke: Stroke, box: FloatArray) -> Iterator[Stroke]:
