@@ -112,10 +112,9 @@ def plan(
 
     if len({file.resolve() for file in targets(1)}) == 2 and picture is not None:
         raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
-    if beside is not None:
-        origin = beside.origin if origin is None else origin
-        if resolution is None and distance is None:
-            resolution = beside.resolution
+    origin = beside.origin if origin is None and beside is not None else origin
+    if beside is not None and resolution is None and distance is None:
+        resolution = beside.resolution
     is_drawn = path.suffix.lower() in READERS
     other = {"doors": doors != "open", "walls": walls, "furniture": furniture}
     if is_drawn:
@@ -137,9 +136,8 @@ def plan(
             with progress("plan", STEPS, lines=False) as advance:
                 inverted = True if beside is not None and beside.negate else None
                 grey, resolution, found = _pixels(
-                    path, resolution, distance, origin, drawing,
-                    opt.fixed_budget(memory_budget), advance, inverted,
-                )  # fmt: skip
+                    path, resolution, distance, origin, drawing, memory_budget, advance, inverted
+                )
             floors, greys = [found], [grey]
     except MapError as error:
         raise MapError(str(error) if name in str(error) else f"{name}: {error}") from None
@@ -151,19 +149,18 @@ def plan(
             LOG.warning("%s: %s", name, as_options(found.doubt))
         for to in files[2:]:
             draw_floor_plan(grey, found).save(to, force=force)
+            say(f"wrote {display(to)}")
         scale, target, image = found.scale[0] or resolution or 0.0, *map(display, files[:2])
         if as_json:
             about = {"path": name, "resolution": scale, "map": target, "image": image}
             emit(to_json(about | found.as_row()))
         else:
             emit(plan_text(name, scale, found, target))
-        for to in files[2:]:
-            say(f"wrote {display(to)}")
 
 
 def _pixels(
     path: Path, resolution: float | None, distance: Any, origin: Pose2D | None,
-    drawing: PlanWalls, budget: int, advance: Callable[[], None], inverted: bool | None,
+    drawing: PlanWalls, budget: int | None, advance: Callable[[], None], inverted: bool | None,
 ) -> "tuple[Grey, float, FloorPlan]":  # fmt: skip
     """The image of a plan, its scale and its map."""
     from imgloc.cli import inputs
@@ -175,7 +172,9 @@ def _pixels(
     scale = _scale(display(path), resolution, distance, size.width, size.height)
     what = f"{display(path)}: a plan of {size.width} x {size.height} pixels"
     need = plan_bytes(size.height, size.width, scale, drawing.cell)
-    inputs.desk_of(1, budget).check(need, what, "crop the plan, use a larger --cell")
+    inputs.desk_of(1, opt.fixed_budget(budget)).check(
+        need, what, "crop the plan, use a larger --cell"
+    )
     with inputs.quiet_libraries():
         grey = load_plan(path)
     found = plan_to_map(

@@ -13,8 +13,9 @@ from imgloc.plans.vectors import Stroke
 
 _MOST = 4000  # doors of a drawing: a hospital has a thousand
 HANGS: float = number("doors.hangs")  #: of its width, that a leaf may end beside its place
-_ROUND: float = number("doors.round")  # of its radius, that an arc may be off
-_SHARP, *_SWINGS = number("doors.turns")  # at a corner of an arc, and of a door, radians
+_ROUND = HANGS / 3  # of its radius, that an arc may be off
+_SHARP = np.pi / 6  # a larger turn is a corner, and not a part of an arc
+_SWINGS = (np.pi / 4, 5 / 4 * np.pi)  # radians that a door may turn
 LEAVES: tuple[float, float] = number("floorplan.leaf")  #: metres that a leaf may be wide
 
 
@@ -95,7 +96,7 @@ def dense(points: FloatArray, step: float) -> FloatArray:
 
 
 def arcs(points: FloatArray) -> list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]:
-    """The parts of a line that are arcs of 55 to 185 degrees: centre, radius and both ends."""
+    """The parts of a line that are arcs of 45 to 225 degrees: centre, radius and both ends."""
     out = list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]()
     step = np.diff(points, axis=0)
     long = np.hypot(*step.T)

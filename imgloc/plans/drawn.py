@@ -32,7 +32,7 @@ _KIND = {
 }  # fmt: skip
 _WALLS = ("wall", "window")
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
-*_SPAN, _FEW = number("drawn.span")
+_FEW = 0.05  # of the strokes of the largest drawing, that another one has: it bounds the work
 _ZONE = 1 + HANGS  # widths of a leaf, around its hinge, that its frame and its handle are in
 _APART = 2 * building.GAPS[-1]  # metres between two drawings in one file, at least
 _PILLARS = 2 * building.THICKEST[-1]  # metres that a filled area may be wide, and be a wall
@@ -40,7 +40,7 @@ _PILLARS = 2 * building.THICKEST[-1]  # metres that a filled area may be wide, a
 # is thicker than most walls has to be longer than a cupboard or a cabin.
 _BODY = (building.THINNEST * building.THICKEST[0], building.LEAST)
 _SINGLE, _COURT, _BLOCK, _SHUT = number("drawn.signs")
-_USUAL: tuple[float, float] = number("drawn.usual")
+_USUAL = LEAVES[0] * (1 + HANGS), LEAVES[1] * (1 - HANGS)  # metres that half of all doors are wide
 
 #: Of each role what names of layers and blocks begin with, or hold if four letters or more; the
 #: first role counts.
@@ -78,14 +78,14 @@ def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tu
     span = float(np.ptp(np.percentile(points, (5, 95), axis=0), axis=0).max())
 
     def agree(unit: float) -> int:
-        return len(_fit(doors, unit)) if _SPAN[0] < span * unit < _SPAN[1] else 0
+        return len(_fit(doors, unit)) if span * unit > 2 * building.PIECE else 0
 
     guesses = [] if drawing.page else [unit for unit in NAMES if unit not in (0.1, 0.9144)]
     most = max(map(agree, [*guesses, *(unit for unit, _ in drawing.units)]), default=0)
     for unit, said in drawing.units:
         if 2 * agree(unit) > most and (agree(unit) >= 2 or len(doors) < 3):
             return unit, f"{said} as the file states, and {agree(unit)} doors fit"
-        if not len(doors) and _SPAN[0] < span * unit < _SPAN[1]:
+        if not len(doors) and span * unit > 2 * building.PIECE:
             return unit, f"{said} as the file states; there is no door to check it by"
     stated = " or ".join(said for _, said in drawing.units)
     best = max(guesses, key=agree, default=0.0)
@@ -210,39 +210,22 @@ def drawing_to_maps(
         )
     lost = sum(not any(f.has(d) for f in best) for d in leaves)
     usual = np.median([d.width for d in leaves] or [0]) * unit
+    about = (
+        (not resolution and not leaves,
+         f"no door tells whether its scale of {unit:g} metres a unit is right: measure a room "
+         "on the map; `distance` gives another scale"),
+        (not resolution and drawing.page and not _USUAL[0] < usual < _USUAL[1],
+         f"its doors are {usual:.2f} m wide, half of them less: is its scale right, {said}?"),
+        (drawing.page and not resolution and other > 1,
+         f"{other} doors fit another scale that is written on it: a part of it has that one, "
+         f"and is not right at {said}; make a map of each part by `resolution`"),
+    )  # fmt: skip
     for floor in best:
         plan = _map_of(
             floor, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture
         )
-        shut, loose = floor.blocked, floor.loose
-        signs = (
-            (lost > 0 and not plans,
-             "a part of the building was most likely cut off: leaves of doors outside of what was "
-             f"found: {lost}"),
-            (len(loose) > 0,
-             "lines that go through walls were taken for axes, and left out, but end in rooms: "
-             f"{len(loose)} ends, at {', '.join(loose[:3])} m; if one is a wall it is missing"),
-            (shut > _SHUT * len(floor.leaves),
-             f"{shut} of {len(floor.leaves)} doors are in walls, or open into walls, as if two "
-             "floors lay over each other, or thresholds were walls; `walls` names the layers"),
-            (not resolution and not leaves,
-             f"no door tells whether its scale of {unit:g} metres a unit is right: measure a room "
-             "on the map; `distance` gives another scale"),
-            (not resolution and drawing.page and not _USUAL[0] < usual < _USUAL[1],
-             f"its doors are {usual:.2f} m wide, half of them less: is its scale right, {said}?"),
-            (plan.single > _SINGLE,
-             f"{plan.single:.0%} of its walls are single lines: rooms are half a wall too large"),
-            (bool(floor.leaves) and plan.doorless > _COURT * plan.free_area,
-             f"{plan.doorless:.0f} m2 have no door: a courtyard, or a door that was not found"),
-            (drawing.page and not resolution and other > 1,
-             f"{other} doors fit another scale that is written on it: a part of it has that one, "
-             f"and is not right at {said}; make a map of each part by `resolution`"),
-            (floor.block > _BLOCK,
-             f"{floor.block:.0f} m2 of its walls are thicker than walls: a table among them?"),
-            (floor.guessed,
-             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
-             "names the layers"),
-        )  # fmt: skip
+        cut = "a part of the building was most likely cut off: leaves of doors outside of what was "
+        signs = ((lost > 0 and not plans, f"{cut}found: {lost}"), *about, *floor.signs(plan))
         plans.append(replace(plan, signs=tuple(text for sign, text in signs if sign)))
     return plans
 
@@ -320,12 +303,28 @@ class Floor:
         near = masks.grown(self.inside, round(building.GAPS[0] / cell))
         return bool(self.sheet.at(door.closed, near, cell))
 
-    @property
-    def loose(self) -> list[str]:
-        """Ends in rooms, x and y in metres, of straight lines that were taken for axes."""
-        cell = self.sheet.pixel * self.sheet.parts
+    def signs(self, plan: FloorPlan) -> tuple[tuple[bool, str], ...]:
+        """Pairs: is this against the map of the floor, and in words; the worst first."""
+        cell, shut = self.sheet.pixel * self.sheet.parts, self.blocked
         ends = [end for s in self.axes for end in s.points if self.sheet.at(end, self.inside, cell)]
-        return [" ".join(f"{metres:.1f}" for metres in end * self.sheet.unit) for end in ends]
+        at = ", ".join("{:.1f} {:.1f}".format(*end * self.sheet.unit) for end in ends[:3])
+        return (
+            (len(ends) > 0,
+             "lines that go through walls were taken for axes, and left out, but end in rooms: "
+             f"{len(ends)} ends, at {at} m; if one is a wall it is missing"),
+            (shut > _SHUT * len(self.leaves),
+             f"{shut} of {len(self.leaves)} doors are in walls, or open into walls, as if two "
+             "floors lay over each other, or thresholds were walls; `walls` names the layers"),
+            (plan.single > _SINGLE,
+             f"{plan.single:.0%} of its walls are single lines: rooms are half a wall too large"),
+            (bool(self.leaves) and plan.doorless > _COURT * plan.free_area,
+             f"{plan.doorless:.0f} m2 have no door: a courtyard, or a door that was not found"),
+            (self.block > _BLOCK,
+             f"{self.block:.0f} m2 of its walls are thicker than walls: a table among them?"),
+            (self.guessed,
+             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
+             "names the layers"),
+        )  # fmt: skip
 
     @property
     def blocked(self) -> int:
@@ -353,11 +352,10 @@ def _floors(
     for k in np.flatnonzero(counts >= _FEW * counts.max()).tolist():
         some = [s for s, own in zip(strokes, of, strict=True) if own == k]
         floors += _floors_of(some, leaves, unit, cell, thickest, gap, named=named)
+    if any(len(f.leaves) > 1 for f in floors):
+        floors = [f for f in floors if f.leaves]
     floors.sort(key=lambda f: -f.area)
-    doors = any(len(f.leaves) > 1 for f in floors)
-    return [
-        f for f in floors if f.area > building.OTHER * floors[0].area and (f.leaves or not doors)
-    ]
+    return [f for f in floors if f.area > building.OTHER * floors[0].area]
 
 
 def _floors_of(

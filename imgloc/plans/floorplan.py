@@ -30,7 +30,7 @@ _FRAMED = number("floorplan.framed")
 _MOST = number("floorplan.most")
 _STRIP: float = number("floorplan.strip")
 _CELLS: int = number("floorplan.cells")
-_LITTLE: float = number("floorplan.little")
+_LITTLE = (building.THICKEST[0] / 2) ** 2  # square metres: of a cell of a hatching
 _FAINT = number("floorplan.faint")
 _LIGHT = np.array(number("floorplan.light"))
 _DENSE = number("floorplan.dense")
@@ -38,7 +38,6 @@ _THINNER = number("floorplan.thinner")
 _CORNERS = number("floorplan.corners")
 _WINDOW = number("floorplan.window")
 _LETTER = LEAVES[0]  # metres that a letter is high at most: no leaf is as narrow
-_FLAT = number("floorplan.flat")
 STEPS = 1 + len(building.THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
 
@@ -605,7 +604,7 @@ def refuse_recorded(grey: masks.Grey) -> None:
 def refuse_photo(evened: masks.Grey) -> None:
     """Raise MapError for an image that is little paper, once that is even."""
     share = np.count_nonzero(evened > 255 * building.ENOUGH) / evened.size
-    if share < _FLAT:
+    if share < _MOST:
         raise MapError(
             f"only {share:.0%} of it is light as paper, expected a drawing: a photo? Scan the "
             "plan, or export it from its CAD program"

@@ -2,12 +2,12 @@
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from imgloc.model import BoolArray, FloatArray, Pose2D, compose
 from imgloc.output.canvas import INK, PAPER, SHADE, Colour, Picture, map_canvas
 from imgloc.output.pictures import mosaic
 from imgloc.output.plots import AREA, framed
-from imgloc.plans import masks
 from imgloc.plans.building import KINDS, FloorPlan
 
 # Of KINDS: paper, walls, then Okabe and Ito's colours.
@@ -17,7 +17,7 @@ _COLOURS: tuple[Colour, ...] = (
 )  # fmt: skip
 
 
-def draw_floor_plan(grey: masks.Grey, plan: FloorPlan) -> Picture:
+def draw_floor_plan(grey: npt.NDArray[np.uint8], plan: FloorPlan) -> Picture:
     """Draw a plan, what was taken from it in colour, beside its map; `grey` as for `plan_to_map`.
 
     Where the plan is wider than high the two are below each other.

@@ -277,6 +277,17 @@ def test_a_frame_and_dimensions_round_the_floor_are_none_of_it(tmp_path: Path, l
     assert (found.size, found.doubt) == (pytest.approx((10.6, 4.4), abs=0.06), "")
 
 
+def test_a_larger_drawing_without_a_door_is_no_floor_where_another_has_some(tmp_path: Path) -> None:
+    def hall(model: Modelspace) -> None:
+        for k in (0, 500):
+            corners = [(k, k), (40_000 - k, k), (40_000 - k, 30_000 - k), (k, 30_000 - k), (k, k)]
+            way = [(x + 30_000, y) for x, y in corners]
+            model.add_lwpolyline(way, dxfattribs={"layer": "WALLS"})
+
+    (found,) = changed(tmp_path, hall)
+    assert found.size[0] == pytest.approx(10.6, abs=0.06)
+
+
 def test_lines_that_are_taken_for_axes_and_end_in_rooms_are_warned_of(tmp_path: Path) -> None:
     at = {"layer": "WALLS"}
     way = [(1500, 3500), (8000, 3500)]
