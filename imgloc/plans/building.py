@@ -11,12 +11,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from skimage.morphology import skeletonize
 
 from imgloc.features.distance import distance_transform
-from imgloc.geometry import rotation
-from imgloc.model import BoolArray, OccupancyGrid, Pose2D, plain
+from imgloc.model import BoolArray, OccupancyGrid, Pose2D, compose, plain
 from imgloc.numbers import number
 from imgloc.plans import masks
 
@@ -74,7 +72,7 @@ class FloorPlan:
     grid: OccupancyGrid  #: the map: walls occupied, rooms free, all around the building unknown
     #: (H, W) uint8: what each pixel was taken for, an index of :data:`KINDS`; row 0 is the lowest
     #: y, its first corner that of the plan
-    kinds: npt.NDArray[np.uint8]
+    kinds: masks.Grey
     pixel: float  #: side of a pixel of `kinds`, metres
     size: tuple[float, float]  #: width and height of the building, metres
     walls: int  #: connected pieces of wall
@@ -165,8 +163,8 @@ class FloorPlan:
              f"walls: {self.roomless_share:.0%} of the walls have no room beside them"),
             (self.gaps_share > DOUBT[2],
              f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into gaps "
-             f"less than {THICKEST[0]:g} m wide, or into spaces less than {_HOLLOW:.2g} m wide "
-             "without a door, as the two lines of a wall do, its hatching, or furniture"),
+             f"less than {THICKEST[0]:g} m wide, or spaces less than {_HOLLOW:.2g} m wide without "
+             "a door, as the two lines of a wall do, its hatching, or furniture"),
             (self.largest_share < _OPEN[bool(self.scale[1])],
              "its walls were most likely misread, or its doors are drawn closed, or it is no plan, "
              "but a table or a grid: no part without a wall across it has more than "
@@ -231,14 +229,9 @@ def inside_of(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArr
     areas = np.array([np.count_nonzero(cells) for cells in found])
     # One more: a disc that only just fails to get through a door reaches far into it.
     k = min(int(np.argmax(areas >= ENOUGH * areas.max())) + 1, len(found) - 1)
-    return _largest(found[k], taken), gaps[k]
-
-
-def _largest(inside: BoolArray, walls: BoolArray) -> BoolArray:
-    """The inside of the largest building: cells joined by walls, as a title's are not."""
-    labels, stats = masks.pieces(inside | walls)
-    areas = np.bincount(labels[inside], minlength=len(stats))
-    return np.asarray(inside & (labels == int(np.argmax(areas))))
+    # The largest building: cells joined by walls, as a title's are not.
+    labels, _ = masks.pieces(found[k] | taken)
+    return found[k] & (labels == np.bincount(labels[found[k]], minlength=1).argmax()), gaps[k]
 
 
 def enclosed(taken: BoolArray, radius: float) -> BoolArray:
@@ -262,7 +255,7 @@ def enclosed(taken: BoolArray, radius: float) -> BoolArray:
 
 
 def finished(
-    walls: BoolArray, inside: BoolArray, kinds: npt.NDArray[np.uint8], cell: float, corner: Pose2D,
+    walls: BoolArray, inside: BoolArray, kinds: masks.Grey, cell: float, corner: Pose2D,
     doors: Sequence[float], more: BoolArray | None = None, hidden: BoolArray | None = None,
     movable: BoolArray | None = None, **found: Any,
 ) -> FloorPlan:  # fmt: skip
@@ -270,7 +263,7 @@ def finished(
 
     `corner` is the pose of the first cell, `doors` are widths in metres; `more` pixels are
     occupied, cells with `hidden` pixels are unknown, with `movable` ones they may be taken or not.
-    The rest is what else was found.
+    The rest is what else was found. The map is cropped to the building, half a metre around it.
     """
     parts = len(walls) // len(inside)
     pixel, middle = cell / parts, skeletonize(walls)
@@ -278,42 +271,32 @@ def finished(
     low, median, high = np.percentile(through, (5, 50, 95)).tolist()
     _, _, wide, tall = cv2.boundingRect(walls.astype(np.uint8))
     solid = walls if more is None else walls | more
+    share = masks.coarser(solid, parts)
+    # A wall thinner than a cell may fill no half of any: then its middle counts.
+    thin = masks.coarser(middle | (solid & ~walls), parts) * parts > 0.75
+    occupied = (share >= 0.5) | thin
+    free = (inside | ((share > 0) & masks.grown(inside, 1))) & ~occupied
+    if hidden is not None:  # neither of both
+        free &= masks.coarser(hidden, parts) == 0
+    x, y, columns, rows = cv2.boundingRect((free | occupied).astype(np.uint8))
+    pad = round(0.5 / cell)
+
+    def cropped(mask: BoolArray) -> BoolArray:
+        return np.pad(mask[y : y + rows, x : x + columns], pad)
+
+    stands = None
+    if movable is not None and movable.any():  # a line of one pixel takes a cell that it crosses
+        stands = cropped(free & (masks.coarser(movable, parts) * parts > 0.5))
+    origin = compose(corner, Pose2D((x - pad) * cell, (y - pad) * cell))
     return FloorPlan(
-        _as_grid(solid, middle | (solid & ~walls), inside, cell, corner, hidden, movable),
+        OccupancyGrid(cropped(occupied), cropped(free), cell, origin, stands),
         kinds, pixel, (wide * pixel, tall * pixel), len(masks.pieces(walls)[1]) - 1,
         len(through) * pixel, (low, median, high), tuple(sorted(doors)),
         _counted(kinds, len(doors), pixel), single=float(np.mean(through < 3 * pixel)), **found,
     )  # fmt: skip
 
 
-def _as_grid(
-    walls: BoolArray, middle: BoolArray, inside: BoolArray, cell: float, origin: Pose2D,
-    hidden: BoolArray | None, movable: BoolArray | None,
-) -> OccupancyGrid:  # fmt: skip
-    """The map, cropped to the building, half a metre around it."""
-    parts = len(walls) // len(inside)
-    share = masks.coarser(walls, parts)
-    # A wall thinner than a cell may fill no half of any: then its middle counts.
-    occupied = (share >= 0.5) | (masks.coarser(middle, parts) * parts > 0.75)
-    near = cv2.dilate(inside.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
-    free = (inside | ((share > 0) & (near > 0))) & ~occupied
-    if hidden is not None:  # neither of both
-        free &= masks.coarser(hidden, parts) == 0
-    x, y, wide, high = cv2.boundingRect((free | occupied).astype(np.uint8))
-    pad = round(0.5 / cell)
-    left, low = x - pad, y - pad
-    rows, columns = slice(y, y + high), slice(x, x + wide)
-    turned = rotation(origin.theta) @ (left * cell, low * cell)
-    corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
-    stands = None
-    if movable is not None and movable.any():  # a line of one pixel takes a cell that it crosses
-        stands = np.pad((free & (masks.coarser(movable, parts) * parts > 0.5))[rows, columns], pad)
-    return OccupancyGrid(
-        np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner, stands
-    )
-
-
-def _counted(kinds: npt.NDArray[np.uint8], swings: int, pixel: float) -> tuple[Removed, ...]:
+def _counted(kinds: masks.Grey, swings: int, pixel: float) -> tuple[Removed, ...]:
     out = []
     for k in range(Kind.SWING, len(KINDS)):
         mask = kinds == k

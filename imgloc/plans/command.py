@@ -14,11 +14,9 @@ from imgloc.ranges import OneOf, Within, option, require
 from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
     from imgloc.io.mapyaml import MapYaml
     from imgloc.plans.building import FloorPlan
+    from imgloc.plans.masks import Grey
 
 PlanScale = Annotated[float, Within(1e-6, 1, "metres a pixel, or a unit")]
 
@@ -47,17 +45,15 @@ def plan(
     ),
     distance: Any = option(
         None,
-        "Two points of the plan, in pixels from its upper left corner or in units of a drawing, "
-        "and the metres between them: the ends of a dimension line, or of an outer wall. They tell "
-        "the scale.",
+        "Two points of the plan, pixels from its upper left corner or units of a drawing, and the "
+        "metres between them, as of a dimension line: they give the scale.",
         metavar="X1,Y1,X2,Y2,M",
         parse=numbers(5),
     ),
     origin: Pose2D | None = option(
         None,
-        "Pose of the plan's lower-left corner, or of the zero point of a drawing, in the map "
-        "frame: metres, metres, radians (or 90deg). [default: that of a YAML beside the plan, or "
-        "0,0,0]",
+        "Pose of the plan's lower-left corner, or of a drawing's zero point, in the map frame: "
+        "metres, radians (or 90deg). [default: that of a YAML beside the plan, or 0,0,0]",
         metavar="X,Y,YAW",
         parse=pose,
     ),
@@ -98,22 +94,27 @@ def plan(
     from imgloc.cli import inputs
     from imgloc.io.maps import save_map
     from imgloc.model import to_json
+    from imgloc.plans.drawn import drawing_to_maps
     from imgloc.plans.floorplan import STEPS
     from imgloc.plans.picture import draw_floor_plan
-    from imgloc.plans.vectors import READERS
+    from imgloc.plans.vectors import READERS, read_drawing
 
-    beside = _beside(path)
+    beside, name = _beside(path), display(path)
     read = [path] if beside is None else [path, path.with_suffix(".yaml")]
-    png = out.with_suffix(".png")
-    for target, ending in ((out, ".yaml"), (png, ".png"), (picture, ".png")):
-        inputs.check_target(target, ending, force=force, inputs=read)
-    if picture is not None and picture.resolve() == png.resolve():
+
+    def targets(k: int) -> list[Path]:
+        """The map of a floor, its image and its picture, which are free."""
+        files = [f for f in (out, out.with_suffix(".png"), picture) if f is not None]
+        files = [f if k == 1 else f.with_stem(f"{f.stem}-{k}") for f in files]
+        for file, ending in zip(files, (".yaml", ".png", ".png"), strict=False):
+            inputs.check_target(file, ending, force=force, inputs=read)
+        return files
+
+    if len({file.resolve() for file in targets(1)}) == 2 and picture is not None:
         raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
-    name = display(path)
-    if beside is not None:
-        origin = beside.origin if origin is None else origin
-        if resolution is None and distance is None:
-            resolution = beside.resolution
+    origin = beside.origin if origin is None and beside is not None else origin
+    if beside is not None and resolution is None and distance is None:
+        resolution = beside.resolution
     is_drawn = path.suffix.lower() in READERS
     other = {"doors": doors != "open", "walls": walls, "furniture": furniture}
     if is_drawn:
@@ -123,61 +124,44 @@ def plan(
         raise ConfigError(f"--{word}: {name} is none that has it, expected {kind}; leave it out")
     try:
         if is_drawn:
-            floors = _drawn(path, resolution, distance, origin, drawing, doors, walls, furniture)
+            if resolution is not None or distance is not None:
+                resolution = _scale(name, resolution, distance)
+            floors = drawing_to_maps(
+                read_drawing(path), resolution=resolution, origin=origin, cell=drawing.cell,
+                thickest=drawing.thickest, gap=drawing.gap, doors=doors, furniture=furniture,
+                walls=[] if walls is None else walls.split(","),
+            )  # fmt: skip
             greys = [255 - 255 * (f.kinds > 0).astype("uint8") for f in floors]
         else:
             with progress("plan", STEPS, lines=False) as advance:
                 inverted = True if beside is not None and beside.negate else None
                 grey, resolution, found = _pixels(
-                    path, resolution, distance, origin, drawing,
-                    opt.fixed_budget(memory_budget), advance, inverted,
-                )  # fmt: skip
+                    path, resolution, distance, origin, drawing, memory_budget, advance, inverted
+                )
             floors, greys = [found], [grey]
     except MapError as error:
         raise MapError(str(error) if name in str(error) else f"{name}: {error}") from None
     # All names are free, or none is written.
-    targets = [out] + [out.with_stem(f"{out.stem}-{k}") for k in range(2, len(floors) + 1)]
-    for target in targets[1:]:
-        for ending in (".yaml", ".png"):
-            inputs.check_target(target.with_suffix(ending), ending, force=force, inputs=read)
-    for k, (target, grey, found) in enumerate(zip(targets, greys, floors, strict=True), 1):
-        save_map(target, found.grid, force=force)
+    names = [targets(k) for k in range(1, len(floors) + 1)]
+    for files, grey, found in zip(names, greys, floors, strict=True):
+        save_map(files[0], found.grid, force=force)
         if found.doubt:
             LOG.warning("%s: %s", name, as_options(found.doubt))
-        if picture is not None:
-            to = picture if k == 1 else picture.with_stem(f"{picture.stem}-{k}")
+        for to in files[2:]:
             draw_floor_plan(grey, found).save(to, force=force)
-        scale, image = found.scale[0] or resolution or 0.0, target.with_suffix(".png")
-        if as_json:
-            about = {"path": name, "resolution": scale, "map": display(target)}
-            emit(to_json(about | {"image": display(image)} | found.as_row()))
-        else:
-            emit(plan_text(name, scale, found, display(target)))
-        if picture is not None:
             say(f"wrote {display(to)}")
-
-
-def _drawn(
-    path: Path, resolution: float | None, distance: Any, origin: Pose2D | None,
-    drawing: PlanWalls, doors: str, walls: str | None, furniture: bool,
-) -> "list[FloorPlan]":  # fmt: skip
-    """The maps of the floors of a drawing."""
-    from imgloc.plans.drawn import drawing_to_maps
-    from imgloc.plans.vectors import read_drawing
-
-    given = resolution is not None or distance is not None
-    scale = _scale(display(path), resolution, distance) if given else None
-    return drawing_to_maps(
-        read_drawing(path), resolution=scale, origin=origin, cell=drawing.cell,
-        thickest=drawing.thickest, gap=drawing.gap, doors=doors,
-        walls=[] if walls is None else walls.split(","), furniture=furniture,
-    )  # fmt: skip
+        scale, target, image = found.scale[0] or resolution or 0.0, *map(display, files[:2])
+        if as_json:
+            about = {"path": name, "resolution": scale, "map": target, "image": image}
+            emit(to_json(about | found.as_row()))
+        else:
+            emit(plan_text(name, scale, found, target))
 
 
 def _pixels(
     path: Path, resolution: float | None, distance: Any, origin: Pose2D | None,
-    drawing: PlanWalls, budget: int, advance: Callable[[], None], inverted: bool | None,
-) -> "tuple[npt.NDArray[np.uint8], float, FloorPlan]":  # fmt: skip
+    drawing: PlanWalls, budget: int | None, advance: Callable[[], None], inverted: bool | None,
+) -> "tuple[Grey, float, FloorPlan]":  # fmt: skip
     """The image of a plan, its scale and its map."""
     from imgloc.cli import inputs
     from imgloc.io.images import image_size
@@ -188,7 +172,9 @@ def _pixels(
     scale = _scale(display(path), resolution, distance, size.width, size.height)
     what = f"{display(path)}: a plan of {size.width} x {size.height} pixels"
     need = plan_bytes(size.height, size.width, scale, drawing.cell)
-    inputs.desk_of(1, budget).check(need, what, "crop the plan, use a larger --cell")
+    inputs.desk_of(1, opt.fixed_budget(budget)).check(
+        need, what, "crop the plan, use a larger --cell"
+    )
     with inputs.quiet_libraries():
         grey = load_plan(path)
     found = plan_to_map(

@@ -11,10 +11,11 @@ from imgloc.model import FloatArray
 from imgloc.numbers import number
 from imgloc.plans.vectors import Stroke
 
-_HANGS = 0.15  # of its width, that a leaf may end beside its hinge or its swing
 _MOST = 4000  # doors of a drawing: a hospital has a thousand
-_SHARP = np.cos(np.deg2rad(26))  # a larger turn is a corner, and not a part of an arc
-_SWINGS = (40, 185)  # degrees that a door may turn
+HANGS: float = number("doors.hangs")  #: of its width, that a leaf may end beside its place
+_ROUND = HANGS / 3  # of its radius, that an arc may be off
+_SHARP = np.pi / 6  # a larger turn is a corner, and not a part of an arc
+_SWINGS = (np.pi / 4, 5 / 4 * np.pi)  # radians that a door may turn
 LEAVES: tuple[float, float] = number("floorplan.leaf")  #: metres that a leaf may be wide
 
 
@@ -48,14 +49,14 @@ def doors_of(strokes: Sequence[Stroke], roles: Sequence[str]) -> list[Door]:
         if role in ("thing", "stairs") or stroke.filled:
             continue
         for centre, radius, tips in arcs(stroke.points):
-            near = np.array(tree.query_ball_point(centre, _HANGS * radius), int)
-            near = near[abs(length[near] - radius) < _HANGS * radius]
+            near = np.array(tree.query_ball_point(centre, HANGS * radius), int)
+            near = near[abs(length[near] - radius) < HANGS * radius]
             leaf = [
-                bool((np.hypot(*(both[near, 1] - tip).T) < _HANGS * radius).any()) for tip in tips
+                bool((np.hypot(*(both[near, 1] - tip).T) < HANGS * radius).any()) for tip in tips
             ]
             others = known[: len(found)]
-            twice = (np.hypot(*(others[:, :2] - centre).T) < 0.3 * radius) & (
-                abs(others[:, 2] - radius) < 0.3 * radius
+            twice = (np.hypot(*(others[:, :2] - centre).T) < 2 * HANGS * radius) & (
+                abs(others[:, 2] - radius) < 2 * HANGS * radius
             )
             if (any(leaf) or role == "door") and not twice.any():
                 if len(found) == _MOST:
@@ -77,32 +78,25 @@ def _turned(doors: list[Door], walls: list[FloatArray]) -> list[Door]:
     tips = np.array([(d.closed, d.opened, d.hinge) for d in doors]).reshape(-1, 2)
     for n, d in enumerate(doors):
         ends = d.closed, d.opened
-        beyond = [end + 0.1 * (end - d.hinge) for end in ends]
-        away = [float(tree.query(b)[0]) for b in beyond]
+        away = [float(tree.query(end + 0.1 * (end - d.hinge))[0]) for end in ends]
+        others = np.delete(tips, slice(3 * n, 3 * n + 3), axis=0)
         for k, end in enumerate(ends):
-            others = np.hypot(*(tips - end).T)
-            others[3 * n : 3 * n + 3] = np.inf
-            if others.min() < _HANGS * d.width:
+            if np.hypot(*(others - end).T).min(initial=np.inf) < HANGS * d.width:
                 away[k] = min(away[k], 0.1 * d.width)
-        swap = away[1] + (0 if d.both else 0.15 * d.width) < away[0]
+        swap = away[1] + (0 if d.both else HANGS * d.width) < away[0]
         out.append(replace(d, closed=d.opened, opened=d.closed) if swap else d)
     return out
 
 
 def dense(points: FloatArray, step: float) -> FloatArray:
     """Points along a line, no farther apart than `step`, up to a bound."""
-    long = np.hypot(*np.diff(points, axis=0).T)
-    n = np.minimum(np.ceil(long / step), 2000).astype(int) + 1
-    return np.concatenate(
-        [
-            a + np.linspace(0, 1, k)[:, None] * (b - a)
-            for a, b, k in zip(points[:-1], points[1:], n, strict=True)
-        ]
-    )
+    parts = np.clip(np.ceil(np.hypot(*np.diff(points, axis=0).T) / step), 1, 2000)
+    ends = np.append(0, np.cumsum(parts))
+    return np.column_stack([np.interp(np.arange(ends[-1] + 1), ends, c) for c in points.T])
 
 
 def arcs(points: FloatArray) -> list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]:
-    """The parts of a line that are arcs of 55 to 185 degrees: centre, radius and both ends."""
+    """The parts of a line that are arcs of 45 to 225 degrees: centre, radius and both ends."""
     out = list[tuple[FloatArray, float, tuple[FloatArray, FloatArray]]]()
     step = np.diff(points, axis=0)
     long = np.hypot(*step.T)
@@ -113,7 +107,7 @@ def arcs(points: FloatArray) -> list[tuple[FloatArray, float, tuple[FloatArray, 
     unit = step / long[:, None]
     turn = (unit[1:] * unit[:-1]).sum(axis=1)
     ratio = long[1:] / long[:-1]
-    cuts = np.flatnonzero((turn < _SHARP) | (ratio > 2.5) | (ratio < 0.4)) + 1
+    cuts = np.flatnonzero((turn < np.cos(_SHARP)) | (ratio > 2.5) | (ratio < 0.4)) + 1
     for a, b in zip((0, *cuts), (*cuts, len(step)), strict=True):
         own = points[a : b + 1]
         if len(own) < 4:
@@ -125,9 +119,9 @@ def arcs(points: FloatArray) -> list[tuple[FloatArray, float, tuple[FloatArray, 
         )
         centre, radius = middle + (x, y), float(np.sqrt(max(0.0, c + x * x + y * y)))
         away = np.hypot(*(own - centre).T)
-        if not radius or np.abs(away - radius).max() > 0.03 * radius:
+        if not radius or np.abs(away - radius).max() > _ROUND * radius:
             continue
         angle = np.unwrap(np.arctan2(*(own - centre).T[::-1]))
-        if _SWINGS[0] < abs(np.rad2deg(angle[-1] - angle[0])) < _SWINGS[1]:
+        if _SWINGS[0] < abs(angle[-1] - angle[0]) < _SWINGS[1]:
             out.append((centre, radius, (own[0], own[-1])))
     return out

@@ -10,46 +10,37 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.distance import distance_transform
-from imgloc.geometry import rotation
-from imgloc.model import BoolArray, FloatArray, IntArray, Pose2D
+from imgloc.model import BoolArray, FloatArray, IntArray, Pose2D, compose
+from imgloc.numbers import number
 from imgloc.plans import building, masks
 from imgloc.plans.building import FloorPlan, Kind
-from imgloc.plans.doors import LEAVES, Door, dense, doors_of
+from imgloc.plans.doors import HANGS, LEAVES, Door, dense, doors_of
 from imgloc.plans.vectors import NAMES, Drawing, Stroke
 
 _KIND = {
     "": Kind.LINE, "wall": Kind.LINE, "note": Kind.TEXT, "stairs": Kind.HATCH, "thing": Kind.SYMBOL,
     "door": Kind.SWING,
 }  # fmt: skip
+_WALLS = ("wall", "window")
 _BITS = 8  # of the fraction of a pixel, that cv2 draws
-_SIZES = (3.0, 1000.0)  # metres that a floor may be long
-_ZONE = 1.2  # widths of a leaf, around its hinge, that its frame and its handle are in
-_APART = 10.0  # metres between two drawings in one file, at least
-_FEW = 0.05  # of the strokes of the largest drawing, that another one has at least
-_COVERED = 0.15  # of the box around walls by their names, that they enclose: they are all walls
-_MORE = 2  # times as much has to be enclosed with lines that no name tells of
-_PILLARS = 2.0  # metres that a filled area may be wide, and still be a wall or a pillar
+_FEW = 0.05  # of the strokes of the largest drawing, that another one has: it bounds the work
+_ZONE = 1 + HANGS  # widths of a leaf, around its hinge, that its frame and its handle are in
+_APART = 2 * building.GAPS[-1]  # metres between two drawings in one file, at least
+_PILLARS = 2 * building.THICKEST[-1]  # metres that a filled area may be wide, and be a wall
 # Square metres of what is between two lines, at least, for each of the thicknesses of walls: what
 # is thicker than most walls has to be longer than a cupboard or a cabin.
-_BODY = (0.03, 2.0)
-_SINGLE = 0.25  # of the walls, that are single lines: of real drawings at most 0.19
-_COURT = 0.05  # of the free area, without a door: of real drawings at most 0.01
-_BLOCK = 1.0  # square metres: none of six real drawings, 55 of one with massive piers
-_SHUT = 0.1  # of the doors, that are blocked: of real drawings next to none
-_USUAL = (0.65, 1.1)  # metres that half of all doors are wide
-_AROUND = 2.0  # metres around a floor that are shown
-_ROOM = 1.5  # square metres of a room, at least
+_BODY = (building.THINNEST * building.THICKEST[0], building.LEAST)
+_SINGLE, _COURT, _BLOCK, _SHUT = number("drawn.signs")
+_USUAL = LEAVES[0] * (1 + HANGS), LEAVES[1] * (1 - HANGS)  # metres that half of all doors are wide
 
 #: Of each role what names of layers and blocks begin with, or hold if four letters or more; the
 #: first role counts.
@@ -82,34 +73,27 @@ def _role(name: str) -> str:
 
 def unit_of(drawing: Drawing, doors: Sequence[Door], roles: Sequence[str]) -> tuple[float, str]:
     """Metres of a unit of a drawing, and how that was found: from its header, if doors agree."""
-    parts = [
-        s.points for s, r in zip(drawing.strokes, roles, strict=True) if r in ("wall", "window")
-    ]
-    points = np.concatenate(parts or [s.points for s in drawing.strokes])
+    some = [s.points for s, r in zip(drawing.strokes, roles, strict=True) if r in _WALLS]
+    points = np.concatenate(some or [s.points for s in drawing.strokes])
     span = float(np.ptp(np.percentile(points, (5, 95), axis=0), axis=0).max())
-    widths = np.array([d.width for d in doors])
 
     def agree(unit: float) -> int:
-        fits = _SIZES[0] < span * unit < _SIZES[1]
-        leaves = (widths * unit > LEAVES[0]) & (widths * unit < LEAVES[1])
-        return fits * int(np.count_nonzero(leaves))
+        return len(_fit(doors, unit)) if span * unit > 2 * building.PIECE else 0
 
-    votes = {
-        unit: 0 if drawing.page else agree(unit) for unit in NAMES if unit not in (0.1, 0.9144)
-    }
-    best = max(votes, key=lambda unit: votes[unit])
-    most = max(votes[best], *(agree(unit) for unit, _ in drawing.units), 0)
+    guesses = [] if drawing.page else [unit for unit in NAMES if unit not in (0.1, 0.9144)]
+    most = max(map(agree, [*guesses, *(unit for unit, _ in drawing.units)]), default=0)
     for unit, said in drawing.units:
         if 2 * agree(unit) > most and (agree(unit) >= 2 or len(doors) < 3):
             return unit, f"{said} as the file states, and {agree(unit)} doors fit"
-        if not len(doors) and _SIZES[0] < span * unit < _SIZES[1]:
+        if not len(doors) and span * unit > 2 * building.PIECE:
             return unit, f"{said} as the file states; there is no door to check it by"
-    stated = [said for _, said in drawing.units]
-    if votes[best] >= 2:
-        but = f", and not {stated[0]} as the file states" if stated else ""
-        return best, f"{NAMES[best]}, by the widths of {votes[best]} doors{but}"
+    stated = " or ".join(said for _, said in drawing.units)
+    best = max(guesses, key=agree, default=0.0)
+    if agree(best) >= 2:
+        but = f", and not {stated} as the file states" if stated else ""
+        return best, f"{NAMES[best]}, by the widths of {agree(best)} doors{but}"
     raise MapError(
-        f"its scale is unknown: the file states {' or '.join(stated) or 'none'}, and no doors fit; "
+        f"its scale is unknown: the file states {stated or 'none'}, and no doors fit; "
         "`resolution` is metres a unit of the drawing, and `distance` finds it"
     )
 
@@ -130,10 +114,10 @@ class Sheet:
     corner: FloatArray  #: (2,) metres
     pixel: float
     parts: int  #: pixels along a cell
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
     unit: float  #: metres
 
-    def fixed(self, points: FloatArray) -> npt.NDArray[np.int32]:
+    def fixed(self, points: FloatArray) -> masks.Labels:
         """Points of the drawing as cv2 takes them."""
         at = (points * self.unit - self.corner) / self.pixel - 0.5
         return np.asarray(np.rint(np.clip(at, -2e4, 4e4) * 2**_BITS), np.int32)
@@ -183,10 +167,10 @@ class Sheet:
         spots = self.fixed(line[0] + ways * (line[1] - line[0])) >> _BITS
         on = walls[tuple(spots.clip(0, np.array(self.shape[::-1]) - 1).T[::-1])]
         free = np.split(~on, np.flatnonzero(np.diff(on)) + 1)
-        rooms = [run for run in free if run[0] and len(run) * self.pixel > building.PIECE]
-        return len(rooms) > 1 and not on[0] and not on[-1]
+        least = building.THICKEST[-1] / self.pixel
+        return not on[[0, -1]].any() and sum(run[0] and len(run) > least for run in free) > 1
 
-    def at(self, point: FloatArray, cells: npt.NDArray[Any], cell: float) -> int:
+    def at(self, point: FloatArray, cells: masks.Labels | BoolArray, cell: float) -> int:
         """The value of the cell that a point of the drawing is in; 0 if it is in none."""
         column, row = np.floor((point * self.unit - self.corner) / cell).astype(int).tolist()
         here = 0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]
@@ -205,19 +189,18 @@ def drawing_to_maps(
     unit, said = (resolution, "as given") if resolution else unit_of(drawing, leaves, roles)
     other = sum(not _fit([d], unit) and any(_fit([d], u) for u, _ in drawing.units) for d in leaves)
     leaves = _fit(leaves, unit)
-    part = _parts_of_doors(drawing.strokes, roles, leaves)
-    roles = ["door" if p else role for role, p in zip(roles, part, strict=True)]
+    roles = _without_doors(drawing.strokes, roles, leaves)
     best, plans, box = list[Floor](), list[FloorPlan](), np.inf
     pairs = [(s, role) for s, role in zip(drawing.strokes, roles, strict=True) if not s.dashed]
-    for taken in (("wall", "window"), ("wall", "window", "")):
+    for taken in (_WALLS, (*_WALLS, "")):
         some = [s for s, role in pairs if role in taken]
         if not some or (walls and "" in taken):
             continue
-        if sum(f.area for f in best) * cell**2 > _COVERED * box:
+        if sum(f.area for f in best) * cell**2 > building.DOUBT[0] * box:
             break
         box = np.ptp(np.concatenate([s.points for s in some]), axis=0).prod() * unit**2
         floors = _floors(some, leaves, unit, cell, thickest, gap, named="" not in taken)
-        if sum(f.area for f in floors) > _MORE * sum(f.area for f in best):
+        if sum(f.area for f in floors) > 2 * sum(f.area for f in best):
             best = floors
     if not best:
         raise MapError(
@@ -227,36 +210,22 @@ def drawing_to_maps(
         )
     lost = sum(not any(f.has(d) for f in best) for d in leaves)
     usual = np.median([d.width for d in leaves] or [0]) * unit
+    about = (
+        (not resolution and not leaves,
+         f"no door tells whether its scale of {unit:g} metres a unit is right: measure a room "
+         "on the map; `distance` gives another scale"),
+        (not resolution and drawing.page and not _USUAL[0] < usual < _USUAL[1],
+         f"its doors are {usual:.2f} m wide, half of them less: is its scale right, {said}?"),
+        (drawing.page and not resolution and other > 1,
+         f"{other} doors fit another scale that is written on it: a part of it has that one, "
+         f"and is not right at {said}; make a map of each part by `resolution`"),
+    )  # fmt: skip
     for floor in best:
         plan = _map_of(
             floor, drawing.strokes, roles, origin or Pose2D(0, 0), doors, said, furniture=furniture
         )
-        shut = floor.blocked
-        signs = (
-            (lost > 0 and not plans,
-             "a part of the building was most likely cut off: leaves of doors outside of what was "
-             f"found: {lost}"),
-            (shut > _SHUT * len(floor.leaves),
-             f"{shut} of {len(floor.leaves)} doors are in walls, or open into walls, as if two "
-             "floors lay over each other, or thresholds were walls; `walls` names the layers"),
-            (not resolution and not leaves,
-             f"no door tells whether its scale of {unit:g} metres a unit is right: measure a room "
-             "on the map; `distance` gives another scale"),
-            (not resolution and drawing.page and not _USUAL[0] < usual < _USUAL[1],
-             f"its doors are {usual:.2f} m wide, half of them less: is its scale right, {said}?"),
-            (plan.single > _SINGLE,
-             f"{plan.single:.0%} of its walls are single lines: rooms are half a wall too large"),
-            (bool(floor.leaves) and plan.doorless > _COURT * plan.free_area,
-             f"{plan.doorless:.0f} m2 have no door: a courtyard, or a door that was not found"),
-            (drawing.page and not resolution and other > 1,
-             f"{other} doors fit another scale that is written on it: a part of it has that one, "
-             f"and is not right at {said}; make a map of each part by `resolution`"),
-            (floor.block > _BLOCK,
-             f"{floor.block:.0f} m2 of its walls are thicker than walls: a table among them?"),
-            (floor.guessed,
-             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
-             "names the layers"),
-        )  # fmt: skip
+        cut = "a part of the building was most likely cut off: leaves of doors outside of what was "
+        signs = ((lost > 0 and not plans, f"{cut}found: {lost}"), *about, *floor.signs(plan))
         plans.append(replace(plan, signs=tuple(text for sign, text in signs if sign)))
     return plans
 
@@ -280,26 +249,28 @@ def _roles(strokes: Sequence[Stroke], walls: Sequence[str]) -> list[str]:
             name: "wall" if of[name] & taken else "" if role == "wall" else role
             for name, role in names.items()
         }
-    if not {"wall", "window", ""} & {*names.values()}:  # a program names what its parts are
+    if not {*_WALLS, ""} & {*names.values()}:  # a program names what its parts are
         return [""] * len(strokes)
     return [names[s.layer] for s in strokes]
 
 
-def _parts_of_doors(
+def _without_doors(
     strokes: Sequence[Stroke], roles: Sequence[str], leaves: Sequence[Door]
-) -> BoolArray:
-    """Which strokes are no wall, and wholly near the swing of a door: leaves, frames, handles."""
-    out = np.zeros(len(strokes), np.bool_)
-    if leaves:
-        hinges, widths = np.array([d.hinge for d in leaves]), np.array([d.width for d in leaves])
-        for k, (s, role) in enumerate(zip(strokes, roles, strict=True)):
-            if role != "wall" and len(s.points) < 200:
-                far = np.hypot(*(s.points[:, None] - hinges).T)
-                near = far.max(axis=1) < _ZONE * widths
-                # A short line without a name may be the end of a wall.
-                short = not role and np.ptp(s.points, axis=0).max() < 0.5 * widths
-                out[k] = bool((near & ~np.asarray(short)).any())
-    return out
+) -> list[str]:
+    """The roles, that of a door for leaves, frames and handles: all near a swing but walls."""
+    hinges = np.array([d.hinge for d in leaves]).reshape(-1, 2)
+    widths = np.array([d.width for d in leaves])
+
+    def hangs(s: Stroke, role: str) -> bool:
+        near = np.hypot(*(s.points[:, None] - hinges).T).max(axis=1) < _ZONE * widths
+        # A short line without a name may be the end of a wall.
+        long = np.ptp(s.points, axis=0).max() >= widths / 2
+        return bool((near & (long | bool(role))).any())
+
+    return [
+        "door" if role != "wall" and len(s.points) < 200 and hangs(s, role) else role
+        for s, role in zip(strokes, roles, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +284,7 @@ class Floor:
     inside: BoolArray  #: cells
     gap: float  #: metres
     guessed: bool  #: no names tell which lines are walls
+    axes: Sequence[Stroke] = ()  #: straight lines through walls that are none
 
     @property
     def area(self) -> int:
@@ -331,6 +303,29 @@ class Floor:
         near = masks.grown(self.inside, round(building.GAPS[0] / cell))
         return bool(self.sheet.at(door.closed, near, cell))
 
+    def signs(self, plan: FloorPlan) -> tuple[tuple[bool, str], ...]:
+        """Pairs: is this against the map of the floor, and in words; the worst first."""
+        cell, shut = self.sheet.pixel * self.sheet.parts, self.blocked
+        ends = [end for s in self.axes for end in s.points if self.sheet.at(end, self.inside, cell)]
+        at = ", ".join("{:.1f} {:.1f}".format(*end * self.sheet.unit) for end in ends[:3])
+        return (
+            (len(ends) > 0,
+             "lines that go through walls were taken for axes, and left out, but end in rooms: "
+             f"{len(ends)} ends, at {at} m; if one is a wall it is missing"),
+            (shut > _SHUT * len(self.leaves),
+             f"{shut} of {len(self.leaves)} doors are in walls, or open into walls, as if two "
+             "floors lay over each other, or thresholds were walls; `walls` names the layers"),
+            (plan.single > _SINGLE,
+             f"{plan.single:.0%} of its walls are single lines: rooms are half a wall too large"),
+            (bool(self.leaves) and plan.doorless > _COURT * plan.free_area,
+             f"{plan.doorless:.0f} m2 have no door: a courtyard, or a door that was not found"),
+            (self.block > _BLOCK,
+             f"{self.block:.0f} m2 of its walls are thicker than walls: a table among them?"),
+            (self.guessed,
+             "no name of a layer tells what is a wall, so furniture may be part of walls; `walls` "
+             "names the layers"),
+        )  # fmt: skip
+
     @property
     def blocked(self) -> int:
         """Leaves that walls are across where they are closed, or where they swing."""
@@ -340,7 +335,7 @@ class Floor:
             turns *= d.width / np.hypot(*turns.T).clip(1e-9 * d.width)[:, None]
             spots = d.hinge + np.outer((0.3, 0.5, 0.7, 0.85), turns).reshape(-1, 2)
             on = np.array([self.sheet.at(spot, walls, self.sheet.pixel) for spot in spots])
-            count += bool(on[::6].mean() > 0.5 or on.reshape(4, 6)[:, 2:].mean() > 0.1)
+            count += bool(on[::6].mean() > 0.5 or on.reshape(4, 6)[:, 2:].mean() > _SHUT)
         return count
 
 
@@ -352,16 +347,15 @@ def _floors(
     points = [dense(s.points * unit, _APART / 2) for s in strokes]
     labels = clusters(np.concatenate(points), _APART)
     of = labels[np.cumsum([0, *(len(p) for p in points[:-1])])]
-    counts = np.bincount(of)
     floors = list[Floor]()
+    counts = np.bincount(of)
     for k in np.flatnonzero(counts >= _FEW * counts.max()).tolist():
         some = [s for s, own in zip(strokes, of, strict=True) if own == k]
         floors += _floors_of(some, leaves, unit, cell, thickest, gap, named=named)
+    if any(len(f.leaves) > 1 for f in floors):
+        floors = [f for f in floors if f.leaves]
     floors.sort(key=lambda f: -f.area)
-    doors = any(len(f.leaves) > 1 for f in floors)
-    return [
-        f for f in floors if f.area > building.OTHER * floors[0].area and (f.leaves or not doors)
-    ]
+    return [f for f in floors if f.area > building.OTHER * floors[0].area]
 
 
 def _floors_of(
@@ -386,9 +380,10 @@ def _floors_of(
     if named:
         firm |= sheet.lines(s for s in strokes if role_of(s.layer) == "window")
         about = masks.grown(firm, 2)
-        others = [s for s in strokes if not sheet.crosses(s.points, about)]
-        if len(others) < len(strokes):
-            return _floors_of(others, leaves, unit, cell, thickest, gap, named=named)
+        if axes := [s for s in strokes if sheet.crosses(s.points, about)]:
+            others = [s for s in strokes if s not in axes]
+            floors = _floors_of(others, leaves, unit, cell, thickest, gap, named=named)
+            return [replace(floor, axes=(*floor.axes, *axes)) for floor in floors]
     else:  # lines are walls only beside what is between two of them
         walls = firm = np.logical_or(*building.standing(firm, drawn, sheet.pixel))
     taken = masks.coarser(walls | shut, parts) > 0
@@ -399,25 +394,26 @@ def _floors_of(
     spans = masks.spans(stats)
     at = np.array([sheet.at(d.closed, labels, cell) for d in leaves], int)
     doors = np.bincount(at, minlength=len(stats))[1:].max(initial=0) > 1
+    pad, bare = round(building.GAPS[-1] / 2 / cell), masks.coarser(firm | shut, parts) > 0
     for k in np.argsort(-spans, kind="stable").tolist():
         most = max((f.area for f in floors), default=0)
         if spans[k] <= max(building.LEAST / cell**2, building.OTHER * most):
             break
         if doors and not (at == k).any():  # a frame, a site or a section, where others have doors
             continue
-        x, y, wide, high = stats[k, :4].tolist()
-        here = slice(y, y + high), slice(x, x + wide)
-        inside = np.zeros_like(taken)
-        inside[here], closed = building.inside_of((taken & (labels == k))[here], cell, gap)
+        corner = np.maximum(stats[k, :2] - pad, 0)  # column and row
+        here = tuple(map(slice, corner[::-1], (stats[k, :4].reshape(2, 2).sum(axis=0) + pad)[::-1]))
         fine = tuple(slice(s.start * parts, s.stop * parts) for s in here)
-        bare = (masks.coarser(firm | shut, parts) > 0) & (labels == k)
-        less, _ = building.inside_of(bare[here], cell, gap)
-        walls[fine], inside[here] = _cleared(walls[fine], firm[fine], inside[here], less, cell)
+        own, lines = labels[here] == k, walls[fine]
+        inside, closed = building.inside_of(taken[here] & own, cell, gap)
+        less, _ = building.inside_of(bare[here] & own, cell, gap)
+        lines, inside = _cleared(lines, firm[fine], inside, less, cell)
         if np.count_nonzero(inside) * cell**2 > building.LEAST:
-            own = building.touching(walls, masks.finer(inside, parts))
-            between = (masks.coarser(shut & ~walls, parts) > 0) & masks.grown(inside, 1)
+            lines = building.touching(lines, masks.finer(inside, parts))
+            inside |= (masks.coarser(shut[fine] & ~lines, parts) > 0) & masks.grown(inside, 1)
             hung = [d for d, of in zip(leaves, at, strict=True) if of == k]
-            floors.append(Floor(sheet, own, shut, hung, inside | between, closed, not named))
+            part = replace(sheet, corner=low + corner * cell, shape=lines.shape)
+            floors.append(Floor(part, lines, shut[fine], hung, inside, closed, not named))
     return floors
 
 
@@ -429,7 +425,7 @@ def _cleared(
     What firm walls enclose without them, `less`, is the building, with rooms that have firm walls
     on most sides. Lines in it stay if they are joined to a wall.
     """
-    if _MORE * np.count_nonzero(less) < np.count_nonzero(inside):  # walls are drawn as lines
+    if 2 * np.count_nonzero(less) < np.count_nonzero(inside):  # walls are drawn as lines
         return walls, inside
     lone, parts = walls & ~masks.grown(firm, 2), len(walls) // len(less)
     labels, stats = masks.pieces(inside & ~less, 4)
@@ -456,7 +452,7 @@ def _bodies(
     depth = masks.depth(free)
     ways = [(d.hinge + d.closed + k * (d.opened - d.hinge)) / 2 for d in leaves for k in (-1, 1)]
 
-    def filled(enough: BoolArray, labels: npt.NDArray[np.int32]) -> BoolArray:
+    def filled(enough: BoolArray, labels: masks.Labels) -> BoolArray:
         enough[[0, *(sheet.at(spot, labels, pixel) for spot in ways)]] = False
         return enough[labels]
 
@@ -464,14 +460,13 @@ def _bodies(
     most = thickest or building.THICKEST[-1 if named else 0]
     wide = 2 * pixel * masks.greatest(depth, labels, free, len(stats))
     out = drawn | filled(wide <= most, labels)
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     for most, least in zip(
         building.THICKEST if thickest is None else (thickest,), _BODY, strict=False
     ):
         radius = most / 2 / pixel
         near = distance_transform((depth <= radius).astype(np.uint8)) <= radius
         for _ in range(round(0.7 * radius)):  # into corners, and no line is crossed
-            near = (cv2.dilate(near.astype(np.uint8), cross) > 0) & free
+            near = masks.grown(near, 1) & free
         labels, stats = masks.pieces(free & ~near, 4)
         out |= filled(stats[:, cv2.CC_STAT_AREA] > least / pixel**2, labels)
     return out
@@ -482,27 +477,15 @@ def _map_of(
     said: str, *, furniture: bool,
 ) -> FloorPlan:  # fmt: skip
     """The map of a floor, and what each pixel around it was taken for."""
-    sheet, cell = floor.sheet, floor.sheet.pixel * floor.sheet.parts
-    n, pad = sheet.parts, round(_AROUND / cell)
-    built = masks.finer(floor.inside, n) | floor.walls
-    x, y, wide, high = cv2.boundingRect(built.astype(np.uint8))
-    rows, columns = (
-        slice(max(0, low // n - pad), -(-(low + size) // n) + pad)
-        for low, size in ((y, high), (x, wide))
-    )
-    fine = tuple(slice(s.start * n, s.stop * n) for s in (rows, columns))
-    inside = floor.inside[rows, columns]
-    walls, shut = floor.walls[fine], floor.shut[fine]
+    sheet, n, inside = floor.sheet, floor.sheet.parts, floor.inside
+    walls, shut, cell = floor.walls, floor.shut, sheet.pixel * n
     kinds = np.zeros(sheet.shape, np.uint8)
     # Where no name tells furniture, a line that is no wall may be some.
     for role, kind in (_KIND | {"": Kind.SYMBOL if floor.guessed else Kind.LINE}).items():
         kinds[sheet.lines(s for s, r in zip(strokes, roles, strict=True) if r == role)] = kind
-    kinds = kinds[fine]
     kinds[(kinds > 0) & ~masks.grown(masks.finer(inside, n), 2)] = Kind.OUTSIDE
     kinds[walls] = Kind.WALL
-    at = sheet.corner + np.array((columns.start, rows.start)) * cell
-    at = rotation(origin.theta) @ at
-    corner = Pose2D(origin.x + at[0], origin.y + at[1], origin.theta)
+    corner = compose(origin, Pose2D(*sheet.corner.tolist()))
     more, movable, within = np.zeros_like(walls), np.zeros_like(walls), masks.finer(inside, n)
     (more if doors == "closed" else movable)[shut & within] = True
     (more if furniture else movable)[(kinds == Kind.SYMBOL) & within] = True
@@ -515,6 +498,6 @@ def _map_of(
         walls, inside, kinds, cell, corner, [d.width * sheet.unit for d in floor.leaves],
         more, hidden, movable,
         gap=floor.gap, thinnest=sheet.pixel, thickest=building.THICKEST[-1],
-        rooms=int(np.count_nonzero(rooms > _ROOM)), scale=(sheet.unit, said),
+        rooms=int(np.count_nonzero(rooms > building.LEAST / 2)), scale=(sheet.unit, said),
         doorless=float(rooms[~doors_at].max(initial=0.0)),
     )  # fmt: skip

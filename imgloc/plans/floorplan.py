@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 from skimage.filters import threshold_otsu
 from skimage.morphology import skeletonize
@@ -31,7 +30,7 @@ _FRAMED = number("floorplan.framed")
 _MOST = number("floorplan.most")
 _STRIP: float = number("floorplan.strip")
 _CELLS: int = number("floorplan.cells")
-_LITTLE: float = number("floorplan.little")
+_LITTLE = (building.THICKEST[0] / 2) ** 2  # square metres: of a cell of a hatching
 _FAINT = number("floorplan.faint")
 _LIGHT = np.array(number("floorplan.light"))
 _DENSE = number("floorplan.dense")
@@ -39,7 +38,6 @@ _THINNER = number("floorplan.thinner")
 _CORNERS = number("floorplan.corners")
 _WINDOW = number("floorplan.window")
 _LETTER = LEAVES[0]  # metres that a letter is high at most: no leaf is as narrow
-_FLAT = number("floorplan.flat")
 STEPS = 1 + len(building.THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
 
@@ -67,7 +65,7 @@ class Enclosed:
 
 
 def plan_to_map(
-    grey: npt.NDArray[np.uint8], resolution: float, *, origin: Pose2D | None = None,
+    grey: masks.Grey, resolution: float, *, origin: Pose2D | None = None,
     cell: float | None = None, thinnest: float | None = None, thickest: float | None = None,
     gap: float | None = None, ink: float | None = None, inverted: bool | None = None,
     advance: Callable[[], None] = lambda: None,
@@ -264,9 +262,7 @@ def plan_bytes(height: int, width: int, resolution: float, cell: float | None = 
     return round(_BYTES * min(most, max(building.MOST_PIXELS, height * width))) + 3 * height * width
 
 
-def _evened(
-    grey: npt.NDArray[np.uint8], resolution: float, inverted: bool | None
-) -> tuple[npt.NDArray[np.uint8], bool]:
+def _evened(grey: masks.Grey, resolution: float, inverted: bool | None) -> tuple[masks.Grey, bool]:
     """A plan against the paper around each pixel, dark on light; and whether it was not.
 
     Shadows, and the colours of rooms, are paper: what is wider than any wall.
@@ -290,7 +286,7 @@ def _evened(
 
 
 def _sheet(
-    grey: npt.NDArray[np.uint8], resolution: float, cell: float, ink: float | None
+    grey: masks.Grey, resolution: float, cell: float, ink: float | None
 ) -> tuple[BoolArray, BoolArray, int]:
     """Drawn pixels, and pixels as dark as ink, resampled to whole pixels per cell.
 
@@ -349,8 +345,7 @@ def _spaces(
     half = masks.depth(~drawn)
     narrow = ~masks.met(labels, len(stats), half > thick / 2)
     narrow[0] = False
-    for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
-        narrow[border] = False
+    narrow[masks.border(labels)] = False
     holes = narrow[labels]
     # Narrow spaces side by side are a wall only if they are as thick as one together.
     together = masks.depth(drawn | holes)
@@ -371,7 +366,7 @@ def _spaces(
 
 
 def _windows(
-    drawn: BoolArray, labels: npt.NDArray[np.int32], deep: BoolArray, together: Float32Array,
+    drawn: BoolArray, labels: masks.Labels, deep: BoolArray, together: Float32Array,
     thick: float, across: float,
 ) -> BoolArray:  # fmt: skip
     """Which of the spaces that are `deep` are panes of windows in thicker solid outer walls, (N,).
@@ -384,8 +379,7 @@ def _windows(
     most, wall = (masks.greatest(m, labels, panes, len(deep)) for m in (union, solid))
     flush = deep & (wall > 0.55 * thick) & (most <= _WINDOW * wall + 2)
     paper = np.zeros(len(deep), np.bool_)
-    for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
-        paper[border] = True
+    paper[masks.border(labels)] = True
     paper[0] = False
     groups, found = masks.pieces(masks.closed(flush[labels], across))
     outer = masks.met(groups, len(found), masks.grown(paper[labels], round(across) + 2))[groups]
@@ -557,7 +551,7 @@ def _elsewhere(walls: BoolArray, inside: BoolArray, cell: float, gap: float) -> 
 def _kinds(
     drawn: BoolArray, walls: BoolArray, inside: BoolArray, hatching: BoolArray, frame: BoolArray,
     swings: list[Door], pixel: float,
-) -> npt.NDArray[np.uint8]:  # fmt: skip
+) -> masks.Grey:  # fmt: skip
     """The kind that each pixel was taken for."""
     arcs = np.zeros(drawn.shape, np.uint8)
     for swing in swings:
@@ -593,11 +587,10 @@ def _kinds(
     return out
 
 
-def refuse_recorded(grey: npt.NDArray[np.uint8]) -> None:
+def refuse_recorded(grey: masks.Grey) -> None:
     """Raise MapError for an image of one tone, and for a map that a robot made."""
     counts = np.bincount(grey.ravel(), minlength=256)
-    border = np.concatenate((grey[0], grey[-1], grey[:, 0], grey[:, -1]))
-    unknown = np.count_nonzero(np.abs(border.astype(int) - 205) <= 2) / len(border)
+    unknown = np.mean(abs(masks.border(grey).astype(int) - 205) <= 2)
     known = counts[:10].sum() + counts[200:211].sum() + counts[245:].sum()
     if unknown > 0.5 and known > 0.98 * grey.size:
         raise MapError(
@@ -608,10 +601,10 @@ def refuse_recorded(grey: npt.NDArray[np.uint8]) -> None:
         raise MapError("it has one tone only, expected a floor plan with dark walls")
 
 
-def refuse_photo(evened: npt.NDArray[np.uint8]) -> None:
+def refuse_photo(evened: masks.Grey) -> None:
     """Raise MapError for an image that is little paper, once that is even."""
     share = np.count_nonzero(evened > 255 * building.ENOUGH) / evened.size
-    if share < _FLAT:
+    if share < _MOST:
         raise MapError(
             f"only {share:.0%} of it is light as paper, expected a drawing: a photo? Scan the "
             "plan, or export it from its CAD program"

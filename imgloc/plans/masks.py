@@ -10,7 +10,9 @@ from skimage.morphology import disk
 from imgloc.features.distance import distance_transform
 from imgloc.model import BoolArray, Float32Array, IntArray
 
-_T = TypeVar("_T", np.float32, np.int32)
+_T = TypeVar("_T", np.float32, np.int32, np.uint8)
+Grey = npt.NDArray[np.uint8]  #: an image of greys
+Labels = npt.NDArray[np.int32]
 
 
 def depth(mask: BoolArray) -> Float32Array:
@@ -39,7 +41,7 @@ def beside(mask: BoolArray) -> BoolArray:
     return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
-def pieces(mask: BoolArray, connectivity: int = 8) -> tuple[npt.NDArray[np.int32], IntArray]:
+def pieces(mask: BoolArray, connectivity: int = 8) -> tuple[Labels, IntArray]:
     """Labels of the connected pieces, and left, top, width, height and area of each, 0 first."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(
         mask.astype(np.uint8), connectivity=connectivity
@@ -47,7 +49,7 @@ def pieces(mask: BoolArray, connectivity: int = 8) -> tuple[npt.NDArray[np.int32
     return np.asarray(labels, np.int32), np.asarray(stats, np.int64)
 
 
-def met(labels: npt.NDArray[np.int32], count: int, where: BoolArray) -> BoolArray:
+def met(labels: Labels, count: int, where: BoolArray) -> BoolArray:
     """Which labels lie somewhere in a mask, (count,); 0 does not."""
     out = np.zeros(count, np.bool_)
     out[labels[where]] = True
@@ -56,7 +58,7 @@ def met(labels: npt.NDArray[np.int32], count: int, where: BoolArray) -> BoolArra
 
 
 def greatest(
-    image: npt.NDArray[_T], labels: npt.NDArray[np.int32], where: BoolArray, count: int
+    image: npt.NDArray[_T], labels: Labels, where: BoolArray, count: int
 ) -> npt.NDArray[_T]:
     """The greatest value of each label within a mask, (count,); 0 for one that is not there."""
     out = np.zeros(count, image.dtype)
@@ -69,6 +71,11 @@ def coarser(mask: BoolArray, parts: int) -> Float32Array:
     size = mask.shape[1] // parts, mask.shape[0] // parts
     out = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     return np.asarray(out, np.float32)
+
+
+def border(image: npt.NDArray[_T]) -> npt.NDArray[_T]:
+    """The pixels along the four sides of an image."""
+    return np.concatenate((image[0], image[-1], image[:, 0], image[:, -1]))
 
 
 def finer(mask: BoolArray, parts: int) -> BoolArray:

@@ -81,12 +81,14 @@ def svg(path: Path, scale: str = "Scale 1:100") -> Path:
     return path
 
 
-def pdf(path: Path, scale: str = "Scale 1:100") -> Path:
-    """Write the floor as a PDF of paper: 10 mm are a metre."""
+def pdf(path: Path, scale: str = "Scale 1:100", page: str = "", off: str = "") -> Path:
+    """Write the floor as a PDF of paper: 10 mm are a metre; with layers if one of them is off."""
     at = lambda x, y: f"{(20 + 10 * x) * 72 / 25.4:.4f} {(20 + 10 * y) * 72 / 25.4:.4f}"  # noqa: E731
-    lines = ["0.5 w"]
-    for _, points in strokes():
-        lines.append(f"{at(*points[0])} m " + " ".join(f"{at(*p)} l" for p in points[1:]) + " S")
+    lines, layers = ["0.5 w"], ["WALLS", "DOORS", "FURNITURE", "DIM", "OLD WALLS"]
+    old = [("OLD WALLS", [(x, 0.2), (x, 4.2)]) for x in (2.0, 2.2)]
+    for layer, points in strokes() + old * bool(off):
+        line = f"{at(*points[0])} m " + " ".join(f"{at(*p)} l" for p in points[1:]) + " S"
+        lines.append(f"/OC /L{layers.index(layer)} BDC {line} EMC" if off else line)
     k = 0.5523
     for (x, y), r, first, _, _ in SWINGS:
         c, s = np.cos(np.deg2rad(first)) * r, np.sin(np.deg2rad(first)) * r
@@ -97,10 +99,15 @@ def pdf(path: Path, scale: str = "Scale 1:100") -> Path:
     parts = [
         b"<</Type/Catalog/Pages 2 0 R/OpenAction<</S/JavaScript/JS(app.alert(1))>>>>",
         b"<</Type/Pages/Kids[3 0 R]/Count 1>>",
-        b"<</Type/Page/Parent 2 0 R/MediaBox[0 0 500 300]/Contents 4 0 R/Resources<</Font<</F1"
-        b"<</Type/Font/Subtype/Type1/BaseFont/NotHere>>>>>>>>",
+        b"<</Type/Page/Parent 2 0 R/MediaBox[0 0 500 300]%s/Contents 4 0 R/Resources<</Font<</F1"
+        b"<</Type/Font/Subtype/Type1/BaseFont/NotHere>>>>/Properties<<%s>>>>>>"
+        % (page.encode(), b"".join(b"/L%d %d 0 R" % (k, k + 5) for k in range(5))),
         b"<</Length %d>>stream\n%s\nendstream" % (len(stream), stream),
+        *(b"<</Type/OCG/Name(%s)>>" % layer.encode() for layer in layers),
     ]
+    if off:
+        hidden = b"/OCProperties<</D<</OFF[%d 0 R]>>>>" % (layers.index(off) + 5)
+        parts[0] = parts[0].replace(b"/Pages", hidden + b"/Pages")
     objects = b"".join(b"%d 0 obj\n%s\nendobj\n" % (n, part) for n, part in enumerate(parts, 1))
     path.write_bytes(b"%PDF-1.4\n" + objects + b"trailer<</Root 1 0 R>>\n%%EOF")
     return path
@@ -152,6 +159,40 @@ def test_an_svg_and_a_pdf_have_the_scale_that_is_written_on_them(tmp_path: Path,
         drawing_to_maps(read_drawing(path))
 
 
+def test_a_page_is_turned_and_as_large_as_it_states_and_layers_that_are_off_are_not_on_it(
+    tmp_path: Path,
+) -> None:
+    (turned,) = drawing_to_maps(read_drawing(pdf(tmp_path / "a.pdf", page="/Rotate 90")))
+    assert turned.size == pytest.approx((4.4, 10.6), rel=0.01)
+    rows, columns = np.nonzero(turned.grid.occupied)  # the outer door, below, is to the left
+    across = turned.grid.occupied[
+        rows.max() - round(2.5 / 0.05), [columns.min() + 2, columns.max()]
+    ]
+    assert across.tolist() == [False, True]
+    path = pdf(tmp_path / "a.pdf", "Scale 1:50", page="/UserUnit 2")
+    assert drawing_to_maps(read_drawing(path))[0].size[0] == pytest.approx(10.6, rel=0.01)
+    for off, rooms in (("OLD WALLS", 2), ("DIM", 3)):
+        (found,) = drawing_to_maps(read_drawing(pdf(tmp_path / "a.pdf", off=off)))
+        assert (found.rooms, "no name of a layer" in found.doubt) == (rooms, False)
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        '<svg x="5" y="9" width="80" height="50" viewBox="0 0 160 100">{}</svg>',
+        '<symbol id="s" viewBox="0 0 160 100">{}</symbol><use href="#s" width="80" height="50"/>',
+        '<g transform="scale(0.5)">{}<g opacity="0" stroke="black"><path d="M40 30V80"/></g></g>',
+        '<g transform="scale(0.5)">{}<path id="wall" d="M40 30V80" stroke-width="0px"/></g>',
+    ],
+)
+def test_parts_of_an_svg_are_as_large_as_their_views_and_seen(tmp_path: Path, inner: str) -> None:
+    head, _, rest = svg(tmp_path / "a.svg", "Scale 1:200").read_text().partition(">")
+    whole = f"{head}>{inner.format(rest.removesuffix('</svg>'))}</svg>"
+    (tmp_path / "a.svg").write_text(whole)
+    (found,) = drawing_to_maps(read_drawing(tmp_path / "a.svg"))
+    assert (found.size, found.rooms) == (pytest.approx((10.6, 4.4), rel=0.01), 2)
+
+
 def test_doors_are_open_closed_or_unknown_and_furniture_stays_if_asked(tmp_path: Path) -> None:
     drawing = read_drawing(dxf(tmp_path / "a.dxf"))
     maps = {
@@ -177,6 +218,10 @@ def test_two_floors_in_one_file_are_two_maps(tmp_path: Path) -> None:
     corners = {round(load_map(tmp_path / f).origin.x) for f in ("m.yaml", "m-2.yaml", "m-3.yaml")}
     assert corners == {0, 40} or corners == {-1, 39}
     assert (tmp_path / "seen-3.png").is_file()
+    out = ("-o", tmp_path / "n.yaml", "--picture", tmp_path / "n-4.png")
+    (tmp_path / "n-4-3.png").touch()
+    call("map", "plan", path, *out).ends(1, "n-4-3.png: exists already")
+    assert not (tmp_path / "n.yaml").exists()
 
 
 def test_layers_without_names_and_layers_that_are_said(tmp_path: Path) -> None:
@@ -225,6 +270,25 @@ def test_a_frame_and_dimensions_round_the_floor_are_none_of_it(tmp_path: Path, l
     at = {"layer": layer}
     (found,) = changed(tmp_path, lambda m: [m.add_lwpolyline(w, dxfattribs=at) for w in ways])
     assert (found.size, found.doubt) == (pytest.approx((10.6, 4.4), abs=0.06), "")
+
+
+def test_a_larger_drawing_without_a_door_is_no_floor_where_another_has_some(tmp_path: Path) -> None:
+    def hall(model: Modelspace) -> None:
+        for k in (0, 500):
+            corners = [(k, k), (40_000 - k, k), (40_000 - k, 30_000 - k), (k, 30_000 - k), (k, k)]
+            way = [(x + 30_000, y) for x, y in corners]
+            model.add_lwpolyline(way, dxfattribs={"layer": "WALLS"})
+
+    (found,) = changed(tmp_path, hall)
+    assert found.size[0] == pytest.approx(10.6, abs=0.06)
+
+
+def test_lines_that_are_taken_for_axes_and_end_in_rooms_are_warned_of(tmp_path: Path) -> None:
+    at = {"layer": "WALLS"}
+    way = [(1500, 3500), (8000, 3500)]
+    (found,) = changed(tmp_path, lambda m: [m.add_lwpolyline(way, dxfattribs=at)])
+    assert found.rooms == 2
+    assert "but end in rooms: 2 ends, at 1.5 3.5, 8.0 3.5 m" in found.doubt
 
 
 def test_what_a_clipped_block_hides_is_no_floor(tmp_path: Path) -> None:
