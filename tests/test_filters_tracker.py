@@ -329,8 +329,9 @@ def test_bent_walls_are_found_along_the_way_and_the_belief_begins_again(monkeypa
 
 
 @pytest.mark.parametrize("strained", [0.0, 0.5])
-def test_a_given_pose_holds_unless_a_scan_fits_well_elsewhere(strained: float) -> None:
-    options = replace(Options(), fused=replace(Options().fused, strained=strained))
+def test_on_bent_walls_a_given_pose_holds_until_a_scan_fits_elsewhere(strained: float) -> None:
+    options = Options(shared=Shared(bent=0.15))
+    options = replace(options, fused=replace(options.fused, strained=strained))
     tracker = make_filter("tracker", features_of(WORLD), options, find=found)
     given = np.array([5.0, 9.0, 2.0])
     tracker.place(given, (0.1, 0.1))

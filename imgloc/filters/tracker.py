@@ -250,8 +250,8 @@ class Tracker:
         self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
         # Scans in a row that agree; weight of the way along which scans agreed, and of all.
         self._agreed, self._explained = 0, np.zeros(2)
-        # Chance that a given pose is wrong, until a scan that fits well somewhere shows where the
-        # robot is then: what leaves the pose unique if it fits at least as well.
+        # Chance that a given pose is wrong, until a search shows where the robot is then: what
+        # leaves the pose unique if it fits at least as well.
         self._astray = 0.0 if self._begun is None else 1 - self.how.mass[0]
 
     def _with(self, shared: Shared, options: Options) -> Options:
@@ -463,7 +463,8 @@ class Tracker:
             # is sure of another place.
             odds = max(self._odds(seen, 2 * known), np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
-        if self._fits_well(seen, 2 * known):  # it knows where the robot is if not there
+        # The first search shows where else a given pose may be; on bent walls it has to fit there.
+        if len(found.poses) and (not self.options.shared.bent or self._fits_well(seen, 2 * known)):
             lost, self._astray = max(lost, self._astray), 0.0
         self._mass, self._lost = mass, lost
         self._settle(seen, at, laser, self._mapped(gained))
