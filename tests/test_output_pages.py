@@ -17,15 +17,7 @@ from imgloc.options import Options
 from imgloc.output.canvas import INK, PAPER, SHADE
 from imgloc.output.pages import DRAWN, HEADLINES, render_explanation
 from imgloc.output.pictures import draw_likelihood
-from imgloc.output.svg import (
-    View,
-    draw_covariance,
-    draw_rays,
-    draw_scan,
-    macro,
-    map_image,
-    window,
-)
+from imgloc.output.svg import View, draw_covariance, draw_rays, draw_scan, macro, map_image, window
 from imgloc.pipeline import localize, prepare
 
 VOID = {"meta", "img", "br"}
