@@ -52,12 +52,10 @@ def test_a_log_in_another_form_is_the_same_log(log: Path, ending: str) -> None:
 
 
 def test_what_a_form_cannot_hold_is_one_error(log: Path, tmp_path: Path) -> None:
-    run = call("convert", log, tmp_path / "a.xyz")
-    assert (run.code, "ends in .csv or .jsonl" in run.err) == (2, True)
+    call("convert", log, tmp_path / "a.xyz").ends(2, "ends in .csv or .jsonl")
     uneven = LaserScan(np.ones(30), np.linspace(-1, 1, 30) ** 3, 0.1, 9.0)
     save_scans(tmp_path / "u.npz", ScanSet((uneven,)))
-    run = call("convert", tmp_path / "u.npz", tmp_path / "u.csv")
-    assert (run.code, "end the name in .jsonl" in run.err) == (2, True)
+    call("convert", tmp_path / "u.npz", tmp_path / "u.csv").ends(2, "end the name in .jsonl")
     assert call("convert", tmp_path / "u.npz", tmp_path / "u.jsonl").code == 0
     np.testing.assert_allclose(load_scans(tmp_path / "u.jsonl")[0].angles, uneven.angles)
     assert not (tmp_path / "u.csv").exists()

@@ -49,8 +49,7 @@ def test_standard_input_is_read_whatever_it_is(scans, monkeypatch):
 def test_standard_input_has_a_name(words, scans, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(scans.read_bytes())))
     out = tmp_path / ("a.csv" if words[0] == "sample" else "a.png")
-    run = call(*words, "--scans-index", 9, "--out", out)
-    assert (run.code, "standard input has 2 scans" in run.err) == (2, True)
+    call(*words, "--scans-index", 9, "--out", out).ends(2, "standard input has 2 scans")
 
 
 def test_several_files_each_with_its_name_and_its_indices(scans: Path, tmp_path: Path) -> None:

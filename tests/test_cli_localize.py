@@ -234,8 +234,7 @@ def test_a_scan_without_a_limit_has_no_infinity_in_json(tmp_path: Path, scans: P
 
 
 @pytest.mark.parametrize(
-    ("sentinel", "method"),
-    [(1e6, "fused"), (1.7e308, "fused"), (1.7e308, "beam")],
+    ("sentinel", "method"), [(1e6, "fused"), (1.7e308, "fused"), (1.7e308, "beam")]
 )
 def test_codes_for_no_return_need_no_limit_of_the_range(sentinel, method, scans, tmp_path):
     scan = load_scans(scans)[0]

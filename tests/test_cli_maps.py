@@ -89,8 +89,7 @@ def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None
 def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
     def fan(*words: object, path: Path = MAPS / "curved.yaml") -> int:
         out = tmp_path / "fan.png"
-        run = call("map", "show", path, "--what", "visibility", "--out", out, *words)
-        assert run.code == 0, run.err
+        call("map", "show", path, "--what", "visibility", "--out", out, *words).ends(0)
         picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
         out.unlink()
         blue, _, red = picture[:-40].transpose(2, 0, 1).astype(int)  # above the legend

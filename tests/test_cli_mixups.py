@@ -179,8 +179,7 @@ def test_evaluate_says_at_once_how_scans_are_given(scans: Path) -> None:
     run = call("evaluate", "curved", scans)
     run.ends(2, f"{scans} is a file of scans, expected a map: pass --scans {scans}", out="")
     assert call("evaluate", "curved", "--scans", scans, "--method", "fused").code == 0
-    run = call("evaluate", "curved", "gone.yaml", "-n", "100000")
-    assert (run.code, "gone.yaml: no such file" in run.err) == (3, True)
+    call("evaluate", "curved", "gone.yaml", "-n", "100000").ends(3, "gone.yaml: no such file")
 
 
 def test_evaluate_and_batch_end_with_the_lines_that_were_left_out(scans, tmp_path):

@@ -50,8 +50,7 @@ def test_key_depends_on_everything_that_matters(monkeypatch: pytest.MonkeyPatch)
         cache_key(grid(free=base.free & ~other), {"sigma": 0.1}),
         # the same bits in another shape
         cache_key(
-            grid(occupied=base.occupied.reshape(6, 4), free=base.free.reshape(6, 4)),
-            {"sigma": 0.1},
+            grid(occupied=base.occupied.reshape(6, 4), free=base.free.reshape(6, 4)), {"sigma": 0.1}
         ),
         cache_key(grid(resolution=np.nextafter(0.1, 1)), {"sigma": 0.1}),
         cache_key(base, {"sigma": 0.1000001}),

@@ -76,8 +76,7 @@ def test_logarithms_are_divided_by_the_number_of_readings():
     stack = stack_of("beam")
     how = Calibration(temperature=0.5)
     np.testing.assert_allclose(
-        calibrated(stack, FREE, 12, how),
-        posterior(stack.values, "beam", FREE, temperature=6.0),
+        calibrated(stack, FREE, 12, how), posterior(stack.values, "beam", FREE, temperature=6.0)
     )
 
 

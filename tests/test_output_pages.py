@@ -16,15 +16,7 @@ from imgloc.answers.explain import KINDS, RayFit
 from imgloc.output.canvas import INK, PAPER, SHADE
 from imgloc.output.pages import DRAWN, HEADLINES, render_explanation
 from imgloc.output.pictures import draw_likelihood
-from imgloc.output.svg import (
-    View,
-    draw_covariance,
-    draw_rays,
-    draw_scan,
-    macro,
-    map_image,
-    window,
-)
+from imgloc.output.svg import View, draw_covariance, draw_rays, draw_scan, macro, map_image, window
 
 VOID = {"meta", "img", "br"}
 LOOSE = {"p", "li", "td", "th", "tr", "dt", "dd"}  # HTML closes them by itself

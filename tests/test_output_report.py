@@ -113,11 +113,9 @@ def test_a_batch_without_any_answer_has_a_page(tmp_path: Path) -> None:
 def test_what_is_no_row_of_a_batch_is_an_error(tmp_path: Path) -> None:
     write(tmp_path, "localize", [{"map": "a", "scans": None, "key": "k", "status": "ok"}])
     for command in ("report", "export"):
-        run = call(command, tmp_path)
-        assert (run.code, "line 1: no row of a batch" in run.err) == (1, True)
+        call(command, tmp_path).ends(1, "line 1: no row of a batch")
     write(tmp_path, "juggle", [])
-    run = call("report", tmp_path)
-    assert (run.code, "results of the job 'juggle', expected localize" in run.err) == (1, True)
+    call("report", tmp_path).ends(1, "results of the job 'juggle', expected localize")
 
 
 def test_bars_have_everything_in_them() -> None:

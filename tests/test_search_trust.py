@@ -12,12 +12,7 @@ from imgloc.options import Trust
 from imgloc.search.trust import judge
 
 TRUST = Trust(
-    readings=10,
-    temperature=2.0,
-    strain=3.0,
-    elsewhere=(-4.0, -0.5, 0.25),
-    most=12.0,
-    mass=0.9,
+    readings=10, temperature=2.0, strain=3.0, elsewhere=(-4.0, -0.5, 0.25), most=12.0, mass=0.9
 )
 misfits = st.floats(-5, 50)
 gains = st.floats(-100, 100)

@@ -292,8 +292,7 @@ def test_the_command_says_where_b_lies_and_carries_poses_and_yaml_over(files):
         "map", "align", folder / "a.yaml", folder / "b.yaml", "--json", "--move",
         folder / "way.csv", "--out", folder / "out.csv", "--write", folder / "sub" / "in-a.yaml",
         "--picture", folder / "both.png",
-    )  # fmt: skip
-    assert given.code == 0, given.err
+    ).ends(0)  # fmt: skip
     row = json.loads(given.out)
     assert row["verdict"] == "unique"
     assert (row["x"], row["y"]) == pytest.approx((truth.x, truth.y), abs=0.05)

@@ -165,8 +165,7 @@ def test_the_command_counts_draws_and_mends(moved, tmp_path):
     given = call(
         "map", "changes", path, tmp_path / "log.npz", "--json", "--no-cache", "--out",
         tmp_path / "aged.png", "--update", tmp_path / "new.yaml",
-    )  # fmt: skip
-    assert given.code == 0, given.err
+    ).ends(0)  # fmt: skip
     row = json.loads(given.out)
     assert row["given"] == 8
     assert row["scans"] >= 6

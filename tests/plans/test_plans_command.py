@@ -1,6 +1,7 @@
 """`imgloc map plan`; what `map check` and `localize` say of a plan that is taken for a map."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,8 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = call(
         "map", "plan", out / "drawing.png", "--resolution", PIXEL, "-o", out / "map.yaml",
         "--picture", out / "seen.png",
-    )  # fmt: skip
-    assert run.code == 0, run.err
+    ).ends(0)  # fmt: skip
     (out / "said.txt").write_text(run.out)
     return out
 
@@ -66,8 +66,7 @@ def test_the_scale_may_be_two_points_and_a_plan_a_jpeg(folder: Path) -> None:
     run = call(
         "map", "plan", folder / "drawing.jpg", "--distance", f"{left},{low},{right},{low},9",
         "--out", out, "--json", "--origin", "1,2,90deg", "--cell", 0.1,
-    )  # fmt: skip
-    assert run.code == 0, run.err
+    ).ends(0)  # fmt: skip
     (row,) = rows(run.out)
     assert row["resolution"] == pytest.approx(PIXEL)
     assert row["size"]["width"] == pytest.approx(9.0, abs=0.1)
@@ -105,8 +104,8 @@ def test_nothing_is_overwritten_by_chance_and_the_plan_never(folder: Path) -> No
     before = (folder / "drawing.png").read_bytes()
     call(*words, folder / "drawing.yaml", "--force").ends(1, "drawing.png: is read by this command")
     assert (folder / "drawing.png").read_bytes() == before
-    run = call(*words, folder / "new.yaml", "--picture", folder / "new.png")
-    assert (run.code, "is the image of the map" in run.err) == (2, True)
+    words = (*words, folder / "new.yaml", "--picture", folder / "new.png")
+    call(*words).ends(2, "is the image of the map")
 
 
 def test_map_check_knows_a_plan(folder: Path) -> None:
@@ -119,14 +118,12 @@ def test_map_check_knows_a_plan(folder: Path) -> None:
 
 def test_map_check_knows_maps_without_unknown_and_swapped_ones(tmp_path: Path) -> None:
     pixels = read_image(MAPS / "visibility.png").pixels
-    unknown = pixels == 205
     inner = np.where(pixels == 0, 0, 254).astype(np.uint8)[6:-6, 6:-6]
     made = {"inner": np.pad(inner, 3), "swapped": 255 - pixels}
-    made["swapped-205"] = np.where(unknown, 205, 255 - pixels).astype(np.uint8)
-    made["swapped-128"] = np.where(unknown, 128, 255 - pixels).astype(np.uint8)
+    for grey in (205, 128):
+        made[f"swapped-{grey}"] = np.where(pixels == 205, grey, 255 - pixels).astype(np.uint8)
     for name, image in made.items():
-        path = tmp_path / f"{name}.png"
-        path.write_bytes(encode_png(image))
+        (path := tmp_path / f"{name}.png").write_bytes(encode_png(image))
         (row,) = rows(call("map", "check", path, "--resolution", 0.1, "--json").out)
         codes = {w["code"] for w in row["warnings"]}
         assert ("swapped" in codes) == (name != "inner"), name
@@ -139,9 +136,16 @@ def test_localize_says_that_its_map_is_a_plan_where_scans_do_not_fit(tmp_path: P
     noise = np.random.default_rng(1).uniform(0.5, 9, (1, 14))
     np.savez(tmp_path / "s.npz", ranges=noise, angles=np.linspace(-3, 3, 14), range_max=20.0)
     words = ("localize", tmp_path / "plan.png", tmp_path / "s.npz", "--no-cache")
-    run = call(*words, "--resolution", 0.1).ends(0)
-    assert "a floor plan? Then its text, furniture and door swings count as walls" in run.err
-    assert "imgloc map plan turns the plan into a map" in run.err
+    why = "a floor plan? Then its text, furniture and door swings count as walls"
+    call(*words, "--resolution", 0.1).ends(0, why, "imgloc map plan turns the plan into a map")
+
+
+def planned(sheet: np.ndarray, folder: Path, *words: object) -> tuple[dict[str, Any], str]:
+    """The row of the map of a sheet, and the warnings on one line."""
+    (folder / "sheet.png").write_bytes(encode_png(sheet))
+    run = call("map", "plan", folder / "sheet.png", "--resolution", PIXEL, "--json", "--force",
+               "-o", folder / "map.yaml", *words).ends(0)  # fmt: skip
+    return rows(run.out)[0], " ".join(run.err.split())
 
 
 def test_a_title_that_is_taken_for_the_building_is_doubted_aloud(tmp_path: Path) -> None:
@@ -150,13 +154,9 @@ def test_a_title_that_is_taken_for_the_building_is_doubted_aloud(tmp_path: Path)
         cv2.rectangle(sheet, (x, y), (x + wide, y + high), 0, 1)  # rooms in the thinnest line
     for x in (180, 320, 460):
         cv2.circle(sheet, (x, 620), 52, 0, 8)  # letters of a title
-    (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
-    words = ("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "-o")
-    run = call(*words, tmp_path / "map.yaml", "--json").ends(0)
-    said = " ".join(run.err.split())
+    row, said = planned(sheet, tmp_path)
     assert "sheet.png: the building was most likely missed: only " in said
     assert "Look at --picture" in said
-    (row,) = rows(run.out)
     assert row["free_share"] < 0.05
     assert row["doubt"].startswith("the building was most likely missed")
 
@@ -177,16 +177,11 @@ def two_rooms(x: int, y: int, side: int, size: tuple[int, int]) -> np.ndarray:
 
 def test_walls_that_are_taken_for_two_are_warned_of(tmp_path: Path) -> None:
     sheet = two_rooms(100, 100, 160, (400, 600))
-    (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
-    words = ("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "--json", "-o")
-    right = call(*words, tmp_path / "right.yaml")
-    assert (right.code, "misread" in right.err) == (0, False), right.err
-    wrong = call(*words, tmp_path / "wrong.yaml", "--thickest", 0.2).ends(0)
-    said = " ".join(wrong.err.split())
+    good, said = planned(sheet, tmp_path)
+    assert (good["doubt"], said) == (None, "")
+    bad, said = planned(sheet, tmp_path, "--thickest", 0.2)
     assert "sheet.png: walls were most likely misread: " in said
     assert "look into gaps less than 0.5 m wide" in said
-    (good,), (bad,) = rows(right.out), rows(wrong.out)
-    assert good["doubt"] is None
     assert good["framed_area"] == 0
     assert good["gaps_share"] < 0.1 < 0.23 < bad["gaps_share"]
 
@@ -210,13 +205,9 @@ def test_walls_that_are_too_thick_to_be_one_are_warned_of() -> None:
 def test_a_frame_that_was_taken_for_the_building_is_warned_of(tmp_path: Path) -> None:
     sheet = two_rooms(400, 300, 104, (800, 1100))
     cv2.rectangle(sheet, (20, 20), (1080, 780), 0, 8)  # 36 times as large as the rooms
-    (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
-    run = call("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "--json", "-o",
-               tmp_path / "map.yaml").ends(0)  # fmt: skip
-    (row,) = rows(run.out)
+    row, said = planned(sheet, tmp_path)
     assert row["size"]["width"] > 26
     assert row["framed_area"] == pytest.approx(14, abs=2)
-    said = " ".join(run.err.split())
     assert "a rectangle surrounds a building of 1" in said
 
 
@@ -241,8 +232,8 @@ def test_a_yaml_that_is_read_is_no_output_and_its_negate_counts(folder, tmp_path
     yaml = f"image: a.jpg\nresolution: {PIXEL}\norigin: [0, 0, 0]\nnegate: 1\n"
     (tmp_path / "a.yaml").write_text(yaml)
     for words in ((), ("--force",)):
-        run = call("map", "plan", tmp_path / "a.jpg", "-o", tmp_path / "a.yaml", *words)
-        assert (run.code, "a.yaml: is read by this command" in run.err) == (1, True)
+        command = ("map", "plan", tmp_path / "a.jpg", "-o", tmp_path / "a.yaml", *words)
+        call(*command).ends(1, "a.yaml: is read by this command")
     assert (tmp_path / "a.yaml").read_text() == yaml
     for name in ("a", "b"):  # light on dark, and it is not
         (tmp_path / "a.yaml").write_text(yaml.replace("a.jpg", f"{name}.jpg"))
