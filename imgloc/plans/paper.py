@@ -28,10 +28,7 @@ _ALL = np.array([(-np.inf, -np.inf), (np.inf, np.inf)])  # corners of what is no
 _SCALE = re.compile(r"(?<![\d:.])1 ?[:/] ?(\d{1,4})(?![\d:\"])")
 _INCHES = re.compile(r"(?<![\d/])(\d{1,2})(?:/(\d{1,2}))?\" ?= ?(\d{1,3})'")  # on paper, feet
 _MM = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72, "m": 1000.0}
-_SHAPES = {
-    "path": "Path", "line": "SimpleLine", "rect": "Rect", "polyline": "Polyline",
-    "polygon": "Polygon", "circle": "Circle", "ellipse": "Ellipse",
-}  # fmt: skip
+_SHAPES = ("Path", "Line", "Rect", "Polyline", "Polygon", "Circle", "Ellipse")
 _SHAPE = re.compile("d|r?[xy]|c[xy]|r|[xy][12]|width|height|points")
 _INHERITED = {"fill", "stroke", "stroke-width", "stroke-dasharray", "visibility", "fill-opacity",
               "stroke-opacity"}  # fmt: skip
@@ -151,20 +148,20 @@ def _rules(text: str) -> dict[str, str]:
 
 def _shaped(e: Any, matrix: Any, layer: str, style: dict[str, str]) -> Iterator[Stroke]:
     """The strokes of one shape of an SVG."""
-    fill, seen = style.get("fill", "black"), dict[str, bool]()
+    kind, fill, seen = _tag(e).capitalize(), style.get("fill", "black"), dict[str, bool]()
     for key in _INHERITED:
         seen[key] = not _NOTHING.fullmatch(style.get(key, "none" if key == "stroke" else "1"))
     stroke = seen["stroke"] and seen["stroke-width"] and seen["stroke-opacity"]
-    tone = Color(fill if seen["fill"] and not fill.startswith("url") else "transparent")
-    filled = seen["fill-opacity"] and _dark(tone.red, tone.green, tone.blue, tone.alpha)
-    if _tag(e) not in _SHAPES or not (filled or stroke) or style.get("visibility") == "hidden":
+    filled = seen["fill-opacity"] and seen["fill"] and not fill.startswith("url") and _dark(fill)
+    if kind not in _SHAPES or not (filled or stroke) or style.get("visibility") == "hidden":
         return
     width = re.match(r"[\d.]+", style.get("stroke-width", "1"))
     wide = float(width[0]) * abs(matrix.determinant) ** 0.5 if width and stroke else 0.0
     dashed = "stroke-dasharray" in style and seen["stroke-dasharray"]
     known = {k: v for k, v in e.items() if _SHAPE.fullmatch(k)}
-    for points in _ways(getattr(svgelements, _SHAPES[_tag(e)])(known), matrix):
-        yield Stroke(points, layer, filled, dashed, wide)
+    shape = getattr(svgelements, "SimpleLine" if kind == "Line" else kind)(known)
+    for points in _ways(shape, matrix):
+        yield Stroke(points, layer, filled, dashed, wide, not filled and not _dark(style["stroke"]))
 
 
 def _ways(d: Any, matrix: Any) -> Iterator[FloatArray]:
@@ -231,13 +228,16 @@ def _page(page: Any, low: float) -> Iterator[Stroke]:
         raw.FPDFPath_GetDrawMode(obj, mode, drawn)
         raw.FPDFPageObj_GetFillColor(obj, *rgba)
         raw.FPDFPageObj_GetStrokeWidth(obj, wide)
-        filled = bool(mode.value) and _dark(*(c.value for c in rgba))
+        filled = bool(mode.value) and _dark(Color(*(c.value for c in rgba)))
+        raw.FPDFPageObj_GetStrokeColor(obj, *rgba)
+        pale = bool(drawn.value) and not _dark(Color(*(c.value for c in rgba)))
         dashed = raw.FPDFPageObj_GetDashCount(obj) > 0
         if filled or drawn.value:
             matrix, box = frame(obj)
             width = wide.value * abs(matrix.determinant) ** 0.5 if drawn.value else 0.0
             for points in _ways(_path(obj), matrix):
-                yield from _clipped(Stroke(points, _layer(obj), filled, dashed, width), box)
+                stroke = Stroke(points, _layer(obj), filled, dashed, width, pale and not filled)
+                yield from _clipped(stroke, box)
 
 
 def _layer(obj: Any) -> str:
@@ -282,9 +282,10 @@ def _point(segment: Any) -> tuple[float, float]:
     return x.value, y.value
 
 
-def _dark(red: float, green: float, blue: float, alpha: float) -> bool:
-    """Return whether a colour, 0 to 255, is none that is as light as paper, nor lets it through."""
-    return red + green + blue < ENOUGH * 765 and alpha >= 50
+def _dark(colour: Any) -> bool:
+    """Return whether a colour is neither as light as paper nor lets it through."""
+    tone = Color(colour)
+    return bool(tone.red + tone.green + tone.blue < ENOUGH * 765 and tone.alpha >= 50)
 
 
 def _clipped(stroke: Stroke, box: FloatArray) -> Iterator[Stroke]:

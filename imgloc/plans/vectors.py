@@ -40,6 +40,7 @@ class Stroke:
     filled: bool = False  #: it is the edge of an area
     dashed: bool = False
     wide: float = 0.0  #: in the units of the file, if it is a line with a width of its own
+    pale: bool = False  #: it is as light as paper
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,9 @@ def read_drawing(path: Path) -> Drawing:
     data = read_file(path, limit=MAX_BYTES, error=MapError, what="drawing")
     try:
         drawing: Drawing = opened(READERS[kind])(data)
-        drawing.strokes[:] = (s for s in drawing.strokes if s.wide < _FAR)  # nor is it NaN
+        some = [s for s in drawing.strokes if s.wide < _FAR]  # nor is it NaN
+        dark = [s for s in some if not s.pale]
+        drawing.strokes[:] = dark if 2 * len(dark) > len(some) else some  # light on dark
     except ImportError as error:
         need = f"{name}: {kind[1:].upper()} needs {error.name}: pip install 'imgloc[cad]'"
         raise ConfigError(need) from None

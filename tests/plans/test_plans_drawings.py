@@ -178,7 +178,7 @@ def test_a_page_has_a_unit_and_layers(tmp_path: Path, given: tuple[str, ...], ro
         '<svg x="5" y="9" width="80" height="50" viewBox="0 0 160 100">{}</svg>',
         '<symbol id="s" viewBox="0 0 160 100">{}</symbol><use href="#s" width="80" height="50"/>',
         HALF % '<g id="wall" opacity="0" stroke="red"><path d="M40 30V80"/></g>',
-        HALF % '<g id="wall" fill-opacity="0"><path d="M40 30V80H44z"/></g>',
+        HALF % '<g id="wall" fill-opacity="0" stroke="#fff"><path d="M40 30V80H44z"/></g>',
     ],
 )
 def test_parts_of_an_svg_are_as_large_as_their_views_and_seen(tmp_path: Path, inner: str) -> None:
