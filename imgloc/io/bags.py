@@ -327,7 +327,7 @@ def choose_topic(topics: Mapping[str, int], topic: str | None, name: str) -> str
             raise ScanError(f"{name}: no scans on {topic}; it has {there}")
         return topic if topic in match else match[0]  # laser is not /laser where both are
     if "/scan" not in topics and len(topics) > 1:
-        raise ScanError(f"{name}: scans on several topics, pass `topic`, one of {there}")
+        raise ScanError(f"{name}: scans of several lasers, pass `topic`, one of {there}")
     return "/scan" if "/scan" in topics else next(iter(topics))
 
 
