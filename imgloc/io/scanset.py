@@ -406,7 +406,7 @@ def _angles_of(value: Any, given: Mapping[str, float], count: int, where: str) -
 def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatArray:
     """Angles of `count` rays from the first one, and from their spacing or the last one."""
     first, last, step = (given.get(key) for key in SPACING)
-    step = step or None if count > 1 else step  # drivers leave it at 0
+    step = step if last is None else step or None  # drivers leave it at 0
     if first is None or (step is None and last is None):
         expected = "angles, or angle_min with angle_increment or angle_max, in radians"
         raise ScanError(f"{where}: angles: missing, expected {expected}")
