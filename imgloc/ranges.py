@@ -378,6 +378,8 @@ def _limited(kind: Any, limit: Limit) -> Check:
         if optional and value is None:
             return None
         fine = limit.admits(value) and not (whole and not isinstance(value, Integral))
+        if isinstance(limit, Within) and isinstance(value, int) and value > limit.high >= _VAST:
+            return "", f"{expected}, at most {limit.high:g}"  # shown where it matters
         return None if fine else ("", expected)
 
     return check

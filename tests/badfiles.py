@@ -225,6 +225,7 @@ def _scan_faults() -> dict[str, tuple[bytes, str]]:
     return {
         "empty.npz": (b"", "empty"),
         "text.npz": (b"not a zip at all", "damaged NPZ"),
+        "array.npz": (npy_header((1, 5), "<f8") + bytes(40), "one array of NumPy: np.savez"),
         "truncated.npz": (whole[: len(whole) // 2], "damaged NPZ"),
         "bad_crc.npz": (_flip(npz_members(ranges=npy_header((1, 5), "<f8") + bytes(40))), "NPZ"),
         "pickled.npz": (but(ranges=np.array([[1], [1, 2]], dtype=object)), "pickled"),

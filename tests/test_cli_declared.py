@@ -112,6 +112,7 @@ def test_a_text_becomes_the_value_of_a_field(kind, name, text, value):
     ("kind", "name", "text", "says"),
     [
         (Options, "top", "0", "--top: got 0, expected a whole number, 1 or more"),
+        (Options, "top", "1e15", "--top: got 1e15, expected a whole number, 1 or more, at most 1"),
         (Options, "top", "x", "--top: got 'x', expected a whole number, 1 or more"),
         (Options, "method", "cmbl", "--method: got 'cmbl', expected one of fused, cbml"),
         (Sensor, "fov", "361", "--fov-deg: got 361, expected degrees, 0.01 to 360"),

@@ -218,6 +218,9 @@ def test_of_several_topics_one_is_named(tmp_path: Path) -> None:
         load_scans(path, topic="/up")
     with pytest.raises(ScanError, match=r"/front: no place on the robot"):
         load_scans(path, topic="/front,/rear")
+    beside = [("/laser", SCAN, m.scan(1.0)), *[("laser", SCAN, m.scan(2.0))] * 2]
+    path = write(tmp_path / "b.mcap", "mcap", beside)
+    assert [len(load_scans(path, topic=name)) for name in ("laser", "/laser")] == [2, 1]
 
 
 def test_several_lasers_are_one_set_each_at_its_place(tmp_path: Path) -> None:

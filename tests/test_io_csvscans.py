@@ -428,6 +428,51 @@ def test_lasers_of_one_table_are_told_apart(tmp_path: Path) -> None:
             loaded(tmp_path, table(["angle", *names], beside))
 
 
+@pytest.mark.parametrize("name", ["name", "child_frame_id", "label", "id", "index", "n"])
+def test_a_column_of_any_name_tells_lasers_apart(tmp_path: Path, name: str) -> None:
+    lasers = ["0", "1"] if name == "index" else ["front", "rear"]
+    wide = [[STAMPS[k], lasers[i], *RANGES[k - i]] for k in range(N) for i in range(2)]
+    rows = [[t, w, *one] for t, w, *scan in wide for one in zip(ANGLES, scan, strict=True)]
+    long = table(["stamp", name, "angle", "range"], rows)
+    scans = SAID + table(["stamp", name, *(f"r{k}" for k in range(RAYS))], wide)
+    for text in (long, scans) if name in ("id", "index") else (long,):
+        with pytest.raises(ScanError, match=rf"one of {lasers[0]} \({N}\), {lasers[1]} \({N}\)"):
+            loaded(tmp_path, text)
+        one = loaded(tmp_path, text, topic=lasers[1])
+        assert [scan.ranges.tolist() for scan in one.scans] == RANGES[np.arange(N) - 1].tolist()
+    apart = loaded(tmp_path, table(["stamp", "angle", "range"], [[t, *row] for t, _, *row in rows]))
+    assert {len(scan.ranges) for scan in apart.scans} == {RAYS}  # two a stamp, never one of both
+
+
+ORDERS = (range(RAYS), range(RAYS)[::-1], [*range(0, RAYS, 2), *range(1, RAYS, 2)],
+          [*range(20, RAYS), *range(20)], np.argsort(RANGES[0]).tolist())  # fmt: skip
+BESIDE = ("status ok weak ok", "side left right", "echo 0 1", "id 1 2", "label wall", "source a")
+
+
+@pytest.mark.parametrize("key", ["stamp", "scan"])
+@pytest.mark.parametrize("order", ORDERS, ids=str)
+def test_a_column_of_other_words_tells_no_lasers_apart(tmp_path: Path, key: str, order) -> None:
+    for name, *words in map(str.split, BESIDE):
+        rows = [[STAMPS[k], words[j % len(words)], ANGLES[i], RANGES[k][i]]
+                for k in range(N) for j, i in enumerate(order)]  # fmt: skip
+        for mark in ",;\t":
+            scans = loaded(tmp_path, table([key, name, "angle", "range"], rows, mark))
+            assert [scan.ranges.tolist() for scan in scans.scans] == RANGES[:, list(order)].tolist()
+
+
+def test_angles_beside_other_columns_are_found(tmp_path: Path) -> None:
+    beside = table(["angle", "range1", "range2"], np.vstack((ANGLES, RANGES[:2])).T.tolist())
+    assert loaded(tmp_path, beside)[1].ranges.tolist() == RANGES[1].tolist()
+    places = ["stamp", "odom_x", "odom_y", "odom_theta"]
+    yaw = [f"/odom/pose/pose/{w}" for w in ("position/x", "position/y", "orientation/yaw")]
+    rows = [[STAMPS[k], k, 0, 0.5, *RANGES[k]] for k in range(N)]
+    spaced = SAID + table(["stamp", *yaw, *(f"/ranges[{k}]" for k in range(RAYS))], rows)
+    for text in (table([*places, *ANGLES.round(5).tolist()], rows), spaced):
+        scans = loaded(tmp_path, text)
+        np.testing.assert_allclose(scans[0].angles, ANGLES, atol=1e-5)
+        np.testing.assert_allclose(scans.odom[2], [2, 0, 0.5])
+
+
 def test_a_print_that_lacks_a_part_is_refused(tmp_path: Path) -> None:
     parts = {at: f"  Columns {at} through {at + 3}\n\n  1.0 2.0 3.0 4.0\n\n" for at in (1, 5, 9)}
     assert len(loaded(tmp_path, VIEW + "".join(parts.values()))[0].ranges) == 12

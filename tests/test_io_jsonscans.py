@@ -93,6 +93,23 @@ def test_the_pose_of_foxglove_is_where_the_sensor_sits(tmp_path: Path) -> None:
         load_scans(path)
 
 
+@pytest.mark.parametrize("key", ["name", "child_frame_id", "label"])
+def test_a_field_of_any_name_tells_lasers_apart(tmp_path: Path, key: str) -> None:
+    said = {"angle_min": -0.5, "angle_increment": 0, "angle_max": 0.5, "ranges": RANGES}
+    pairs = [{**said, "stamp": k // 2, key: ("front", "rear")[k % 2]} for k in range(2 * N)]
+    path = tmp_path / "a.jsonl"
+    path.write_text("\n".join(map(json.dumps, pairs)))
+    with pytest.raises(ScanError, match=rf"one of front \({N}\), rear \({N}\)"):
+        load_scans(path)
+    assert len(load_scans(path, topic="rear")) == N
+    for words in ([f"{k}.csv" for k in range(2 * N)], ["hall", "hall", "lab", "hall"] * 2):
+        own = [{**said, "stamp": k, "source": f"{k}.csv", key: w} for k, w in enumerate(words)]
+        path.write_text("\n".join(map(json.dumps, own)))
+        np.testing.assert_allclose(load_scans(path)[7].angles, ANGLES)  # a step of 0 is none
+    (tmp_path / "a.json").write_text(json.dumps([[1.0, 2.0, None, 4.0]] * 3))
+    assert len(load_scans(tmp_path / "a.json", fov=1.0)[2].ranges) == 4
+
+
 def test_a_table_of_ranges_in_one_object(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     said = {"angle_min": -0.5, "angle_max": 0.5, "range_max": 9.0, "stamps": [5.0, 5.1]}

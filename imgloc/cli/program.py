@@ -60,7 +60,7 @@ class Resources:
     def __post_init__(self) -> None:
         import cv2
 
-        cv2.setNumThreads(self.threads)
+        cv2.setNumThreads(min(self.threads, count_threads()))
 
 
 @dataclass(frozen=True)

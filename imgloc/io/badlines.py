@@ -40,8 +40,10 @@ def warned(*, also_printed: bool = False) -> Iterator[dict[str, str]]:
 
 
 @contextlib.contextmanager
-def held() -> Iterator[None]:
+def held(name: str = "", shown: str = "") -> Iterator[None]:
     """Hold back what is logged in a block until its end, where standard error is none in it.
+
+    A file of this name has another one there.
 
     Examples
     --------
@@ -64,6 +66,7 @@ def held() -> Iterator[None]:
     finally:
         _LOG.removeFilter(hold)
         for record in records:
+            record.msg, record.args = record.getMessage().replace(name, shown), ()
             _LOG.handle(record)
 
 

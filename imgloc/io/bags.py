@@ -325,9 +325,9 @@ def choose_topic(topics: Mapping[str, int], topic: str | None, name: str) -> str
         match = [t for t in topics if t.strip("/") == topic.strip("/")]
         if not match:
             raise ScanError(f"{name}: no scans on {topic}; it has {there}")
-        return match[0]
+        return topic if topic in match else match[0]  # laser is not /laser where both are
     if "/scan" not in topics and len(topics) > 1:
-        raise ScanError(f"{name}: scans on several topics, pass `topic`, one of {there}")
+        raise ScanError(f"{name}: scans of several lasers, pass `topic`, one of {there}")
     return "/scan" if "/scan" in topics else next(iter(topics))
 
 

@@ -24,7 +24,7 @@ from imgloc.io.badlines import BadLines
 from imgloc.io.bags import Beside
 from imgloc.io.files import PathLike, display
 from imgloc.io.printed import Line, unprinted
-from imgloc.io.scanset import SPACING, Entry, ScanSet, collect, spread
+from imgloc.io.scanset import SEVERAL, SPACING, Entry, ScanSet, collect, spread
 from imgloc.io.textscans import LASERS, NAMES, lines_of, number_of, setting_of
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD
@@ -55,7 +55,6 @@ _SAID = re.compile(
 _TIMES = {"gradians": 10 / 9, "tenths of a degree": 10, "hundredths of a degree": 100,
           "milliradians": 1000 * _DEGREE}  # fmt: skip
 _TURN, _VIEW, _OFF = 360, 30, 2  # degrees
-_SEVERAL = 8  # lasers of a robot, at most
 _TURNS = math.tau, _TURN, _TURN * _TIMES["gradians"]
 _ENDS = re.compile(r"\b(start|end)_angle$")
 _RANGES = re.compile(r"(.*[./])?ranges?[._\[( ]*(\d+)[)\]]?$")
@@ -68,11 +67,12 @@ _ROLES = (
     (re.compile(rf"(.*[./])?(header[./_])?frame_id|({'|'.join(LASERS)})([ ._]?(id|name))?"),
      "laser"),
     (re.compile(r"(.*[./])?(header[./_])?(seq|scan_time)$|.*intensit.*|quality|"
-                r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$"), "aside"),
+                r"(scan_|ray_|beam_)?(id|index|idx|nr|number)$|source"), "aside"),
     (re.compile(r"angu?le|winkel|[aá]ngulo|angolo|角度|bearing|azimuth|phi|alpha"), "angle"),
     (re.compile(r"range|dist(an[cz]i?[ae]?)?|abstand|entfernung|port[eé]e|距离|rho|r"), "range"),
     (re.compile(r"scan|sweep"), "scan"),
 )  # fmt: skip
+_SCANS = ("", "range", "ranges", "scan")  # roles of columns beside one of angles
 _COMMA, _SPELLED = re.compile(r"^([-+]?\d*),(\d+)"), re.compile(r"[-+]?[\d,.]")
 _BELOW = re.compile(r"[1-9]\d\d([.,]\d+)?")  # a thousand
 _ONWARD = 0.7  # share of the steps of angles that rise; of ranges it is about a half
@@ -85,6 +85,7 @@ _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and rough
 # Rank correlation of two scans, of which most in 7 recorded logs have more, and how many times as
 # far one sees as another: at most 5.3 times there.
 _TOGETHER, _GREATER = 0.5, 10
+_BETWEEN = 0.4  # of a step, from the rays of a scan to those of another; a half if they alternate
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
 # How many times as much ranges differ from the next number as from the one after it if others stand
 # between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole
@@ -93,8 +94,8 @@ _APART, _WHOLE, _FAR = 4, 0.3, 100.0  # the last in metres, in which other numbe
 _EPOCH = 1e8  # seconds since 1970, or a finer unit, but never metres
 _EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # how great a time is, and its unit
 _ECHO = 10  # columns of a LaserScan before its ranges, as ros2 topic echo --csv prints them
-_POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./][zw])")
-_AXES = "position/x", "position/y", "orientation/z", "orientation/w"
+_POSE = re.compile(r"(.*?)[./]?pose[./]pose[./](position[./][xy]|orientation[./](?:[zw]|yaw))")
+_AXES = "position/x", "position/y", "orientation/z", "orientation/w", "orientation/yaw"
 _CLOCKWISE = "a quality beside angles is an RPLIDAR's, which counts them clockwise: `flipped=True`"
 _POINTS = " are points; expected columns angle and range: atan2(y, x) in radians, hypot(x, y)"
 # A quoted cell, a name and no damage, before others that are not.
@@ -308,7 +309,7 @@ class _Table:
     bad: BadLines
     cut: str  #: where the line stands that does not end
     rows: list[tuple[str, FloatArray]] = field(default_factory=list)
-    lasers: list[str] = field(default_factory=list)  #: names that a column has, by their numbers
+    cells: list[list[str]] = field(default_factory=list)  #: of each row, as they are spelled
     length: float = 1.0  #: metres, that a comment gives as the unit of ranges
     turn: float = 1.0  #: radians, likewise of angles
     block: str = ""  #: what is said of numbers at the end of each line that may be no ranges
@@ -330,7 +331,8 @@ class _Table:
         few = len(names) in (2, 3) and len(self.body) > _EVEN and not any(r for r, _, _ in roles)
         if (not names or few) and (scans := self._by_contents(names, fov)) is not None:
             return scans
-        if not ranges and "angle" in by:
+        known = {"angles", "angle_min"} & (self.settings.keys() | by.keys())
+        if "angle" in by and not (ranges and (known or fov is not None)):
             self._parse(None, names)
             return self._columns(by["angle"], roles[by["angle"]][2], names)
         if not ranges:
@@ -341,20 +343,17 @@ class _Table:
                 found = f"columns {', '.join(names[:5])}"
                 raise ScanError(f"{self.name}: {found}, expected columns called angle and range")
             ranges = _alike(ranges, names, self.name)
-        used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside")]
+        beside = [i for i, (role, *_) in enumerate(roles) if role == "aside"][:_EVEN]  # few
+        used = [i for i, (role, _, _) in enumerate(roles) if role not in ("", "aside", "laser")]
         if not self.rows:
-            self._parse([*used, *ranges], names, by.get("laser"))
+            self._parse([*used, *ranges], names)
         ranges = ranges or list(range(len(self.rows[0][1])))
         if not {"time", "stamp", "seconds"} & by.keys() and (times := self._times(ranges)):
             by["time"], ranges = times[0], [i for i in ranges if i not in times] or ranges
             roles = [("time", 0, 1.0)] * len(self.rows[0][1])
         self._refuse_counts(ranges, names)
-        places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
-        for key, wanted in _PLACES.items():
-            if 0 < len(places[key]) < len(wanted):
-                there, every = ", ".join(names[i] for i in places[key]), ", ".join(wanted)
-                raise ScanError(f"{self.name}: columns {there}, expected all of {every} or none")
-        if not {"angles", "angle_min"} & (self.settings.keys() | by.keys()):
+        places = self._places(names, by)
+        if not known:
             if fov is None:
                 expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
                 expected += self.block and f"; {self.block}"
@@ -362,7 +361,7 @@ class _Table:
             self.settings["angles"] = spread(len(ranges), fov)
         entries = list[Entry]()
         unit = self._metres(names[ranges[0]] if names and ranges else "")
-        for where, row in self.rows:
+        for k, (where, row) in enumerate(self.rows):
             values = row[ranges] * unit
             if "angle_min" in by and np.isnan(row[by["angle_min"]]) and np.isnan(values).all():
                 continue  # of another topic
@@ -371,27 +370,36 @@ class _Table:
             said = {key: value for key, value in said.items() if not math.isnan(value)}
             if (rays := _rays_of(said)) and np.isnan(values[rays:]).all():
                 values = values[:rays]  # a shorter scan than others
-            stamp, laser = _stamp_of(row, by, roles), self._laser_of(row, by)
-            said |= {"ranges": values, "stamp": stamp, "laser": laser, **more}
+            laser = self.cells[k][by["laser"]] if "laser" in by else ""
+            said |= {f"column {i}": self.cells[k][i] for i in beside}
+            said |= {"ranges": values, "stamp": _stamp_of(row, by, roles), "laser": laser, **more}
             entries.append((where, {**self.settings, **said}))
         return self._beside(names, by, roles).scans(entries, "", Recording(), "", self.bad)
+
+    def _places(self, names: Sequence[str], by: Mapping[str, int]) -> dict[str, list[int]]:
+        """The columns of a known pose and of the odometry, those of a whole pose or none."""
+        places = {key: [by[c] for c in wanted if c in by] for key, wanted in _PLACES.items()}
+        for key, wanted in _PLACES.items():
+            if 0 < len(places[key]) < len(wanted):
+                there, every = ", ".join(names[i] for i in places[key]), ", ".join(wanted)
+                raise ScanError(f"{self.name}: columns {there}, expected all of {every} or none")
+        return places
 
     def _role(self, at: int, name: str) -> Role:
         """The role of a column; one of lasers numbers no scans, nor names files one by one."""
         if (role := role_of(name))[0] != "laser":
             return role
         cells = [cells[at].strip() for _, cells in self.body if at < len(cells)]
-        again = sum(a != b for a, b in itertools.pairwise(cells)) >= len({*cells})
-        counts = all(re.fullmatch(r"[-+.\d]+", cell) for cell in cells)
-        sure = not counts or re.match("laser|lidar|sensor|scanner", name)
-        lasers = len({*cells}) <= _SEVERAL and sure and (again or "source" not in name)
-        return role if lasers else ("aside", 0, 1.0)
+        sure = re.match("laser|lidar|sensor|scanner", name) or not all(map(is_number, cells))
+        return role if sure and len({*cells}) <= SEVERAL else ("aside", 0, 1.0)
 
     def _refuse_lasers(self, names: Sequence[str]) -> None:
         """ScanError for ranges of several lasers, by what stands before the name of each."""
         if len(of := dict.fromkeys(names)) > 1:
             found = f"ranges of several lasers: {', '.join(of)}"
-            raise ScanError(f"{self.name}: {found}; expected the columns of one")
+            raise ScanError(
+                f"{self.name}: {found}; expected those of one, or a line for each laser"
+            )
 
     def _by_contents(self, names: Sequence[str], fov: float | None) -> ScanSet | None:
         """The scans of columns without names, or with those of a language that is not known."""
@@ -417,15 +425,14 @@ class _Table:
             own = f"{topic}/header/stamp"
             when = {"time": names.index(own)} if own in names else by
             for _, row in self.rows:
-                x, y, z, w = (row[at[key]] if key in at else math.nan for key in _AXES)
+                x, y, z, w, yaw = (row[at[key]] if key in at else math.nan for key in _AXES)
                 if not math.isnan(x) and (stamp := _stamp_of(row, when, roles)) is not None:
-                    beside.moves[topic, "", ""].append((stamp, x, y, 2 * math.atan2(z, w)))
+                    yaw = 2 * math.atan2(z, w) if math.isnan(yaw) else yaw
+                    beside.moves[topic, "", ""].append((stamp, x, y, yaw))
         return beside
 
-    def _parse(
-        self, used: Sequence[int] | None, names: Sequence[str], laser: int | None = None
-    ) -> None:
-        """Make numbers of the cells that are used, by default all, and of the names of lasers."""
+    def _parse(self, used: Sequence[int] | None, names: Sequence[str]) -> None:
+        """Make numbers of the cells that are used, by default all."""
         width = len(names)
         for where, cells in self.body:
             try:
@@ -435,15 +442,12 @@ class _Table:
                     raise ScanError(f"{where}: {len(cells)} numbers, expected {width}{why}")
                 row = np.full(width, np.nan)
                 for i in range(width) if used is None else used:
-                    if i == laser:
-                        self.lasers += [cells[i]] * (cells[i] not in self.lasers)
-                        row[i] = self.lasers.index(cells[i])
-                    else:
-                        row[i] = number_of(cells[i], f"{where}: column {i + 1}")
+                    row[i] = number_of(cells[i], f"{where}: column {i + 1}")
             except ScanError as error:
                 self.bad.skip(error, where if self.rows and where == self.cut else "")
                 continue
             self.rows.append((where, row))
+            self.cells.append(cells)
         if not self.rows:
             self.bad.check(0)
             raise ScanError(f"{self.name}: contains no scan, expected one per line")
@@ -525,7 +529,7 @@ class _Table:
         """The scans of a table with a column of angles, and a column for each scan."""
         table = np.array([row for _, row in self.rows])
         others = (k for k in range(table.shape[1]) if k != at)
-        scans = [k for k in others if not names or role_of(names[k])[0] in ("", "range", "scan")]
+        scans = [k for k in others if not names or role_of(names[k])[0] in _SCANS]
         stems = {re.sub(r"[\W_]*\d+", "", names[k]) for k in scans if names}
         if len(stems) > 1 or stems & {*LASERS}:
             found = f"columns {', '.join(names[k] for k in scans[:5])} beside angles"
@@ -601,23 +605,26 @@ class _Table:
         """The scans of a table with a reading a line."""
         which = next((key for key in ("scan", "stamp", "time") if key in by), None)
         if not self.rows:
-            keys = [*filter(None, ("angle", "range", which, "seconds", "nanoseconds", "laser"))]
+            keys = [*filter(None, ("angle", "range", which, "seconds", "nanoseconds"))]
             used = [by[key] for key in keys if key in by]
-            self._parse(used, [role for role, _, _ in roles], by.get("laser"))
+            self._parse(used, [role for role, _, _ in roles])
         self.bad.check(len(self.rows))
         table = np.array([row for _, row in self.rows])
         turn, length = (roles[by[key]][2] for key in ("angle", "range"))
         angles = _radians(self.name, table[:, by["angle"]], self.turn if turn == 1 else turn)
         ranges = table[:, by["range"]] * (self.length if length == 1 else length)
-        of = table[:, by["laser"]] if self.lasers else np.zeros(len(table))
+        of = np.array([cells[by["laser"]] if "laser" in by else "" for cells in self.cells])
+        beside = [i for i, (role, *_) in enumerate(roles) if role in ("", "aside")]
         entries = list[tuple[int, Entry]]()
-        for laser in range(max(1, len(self.lasers))):
+        for laser in dict.fromkeys(of.tolist()):
             mine = np.flatnonzero(of == laser)
             starts = _starts(table[mine, by[which]] if which else None, angles[mine])
             for a, b in itertools.pairwise([*starts, len(mine)]):
                 (where, row), at = self.rows[mine[a]], mine[a:b]
                 found = {
-                    "angles": angles[at], "ranges": ranges[at], "laser": self._laser_of(row, by),
+                    **{f"column {i}": self.cells[mine[a]][i] for i in beside
+                       if len({self.cells[k][i] for k in at}) == 1},
+                    "angles": angles[at], "ranges": ranges[at], "laser": laser,
                     "stamp": _stamp_of(row, by, roles) if which != "scan" else None,
                 }  # fmt: skip
                 entries.append((int(mine[a]), (where, {**self.settings, **found})))
@@ -625,9 +632,6 @@ class _Table:
         if len(ordered) == 1:
             return collect([(self.name, ordered[0][1])], self.name)
         return collect(ordered, self.name, BadLines(self.name, self.bad.most))
-
-    def _laser_of(self, row: FloatArray, by: Mapping[str, int]) -> str:
-        return self.lasers[int(row[by["laser"]])] if self.lasers else ""
 
     def echoed(self) -> ScanSet:
         """The scans of what ``ros2 topic echo --csv`` prints: the fields without their names."""
@@ -721,7 +725,7 @@ def _head(
             raise ScanError(f"{body[0][0]}: it numbers the columns; angles: expected {expected}")
         body.pop(0)
         return [*(cell.lower() or "index" for cell in first[:lead]), *_ranges(count)]
-    if len(body) < 2 or lead > 3 or not all(c and is_number(c) for c in first[lead:]):
+    if len(body) < 2 or lead > len(_BESIDE) or not all(c and is_number(c) for c in first[lead:]):
         return None
     row = np.array([float(cell) for cell in first[lead:]])
     angles = _even_angles(row, settings)
@@ -758,7 +762,8 @@ def _even_angles(row: FloatArray, settings: Mapping[str, Any]) -> FloatArray | N
 def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
     """Where the scans begin of readings one after the other: the key changes, or angles go back."""
     if keys is not None and len(np.unique(keys)) < len(keys) / 2:
-        return [0, *(1 + np.flatnonzero(np.diff(keys) != 0)).tolist()]
+        ends = [0, *(1 + np.flatnonzero(np.diff(keys) != 0)).tolist(), len(keys)]
+        return [a + k for a, b in itertools.pairwise(ends) for k in _again(angles[a:b])]
     steps = np.diff(angles)
     usual = float(np.median(steps)) if len(steps) else 0.0
     back = steps * np.sign(usual) < -max(math.pi / 4, 10 * abs(usual))
@@ -768,6 +773,16 @@ def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
         if (first - last) * np.sign(usual) <= 0:  # else it goes on beyond 0 degrees, not anew
             starts.append(a)
     return starts
+
+
+def _again(angles: FloatArray) -> list[int]:
+    """Where the scans begin of readings at one time, which run through the same angles again."""
+    starts, steps = _starts(None, angles), np.diff(angles)
+    if len(starts) < 2 or min(np.diff([*starts, len(angles)])) < _EVEN:
+        return [0]
+    usual, gap = np.median(steps), np.quantile(np.diff(np.sort(angles)), 1 / 4)
+    is_one = gap > _BETWEEN * abs(usual) or np.mean(steps * usual > 0) < _ONWARD
+    return [0] if is_one else starts
 
 
 def _alike(ranges: Sequence[int], names: Sequence[str], name: str) -> list[int]:

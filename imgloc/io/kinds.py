@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from imgloc.io.bags import LASER, topics_of
 from imgloc.io.files import PathLike
-from imgloc.io.scans import format_of
+from imgloc.io.scans import format_of, lasers_of_table
 from imgloc.io.text import read_text
 from imgloc.io.textscans import topics_in
 
@@ -34,6 +34,8 @@ def kinds_of(path: PathLike) -> tuple[str, list[Kind]]:
         return form, [Kind(topic, count, kind) for topic, kind, count in topics_of(path)]
     if form == "JSON":
         return form, [Kind(t, n, kind) for (t, kind), n in sorted(topics_in(path).items())]
+    if form == "CSV":
+        return form, [Kind(laser, n, LASER) for laser, n in lasers_of_table(path).items()]
     if form == _ECHOED:
         frames = Counter(_FRAME.findall(read_text(path, errors="replace")))
         return form, [Kind(frame, n, LASER) for frame, n in frames.items()]

@@ -55,8 +55,6 @@ def fields_of(error: type[ImglocError], name: str) -> Iterator[None]:
 def entry_of(message: Any, received: float) -> dict[str, Any]:
     """A sensor_msgs/LaserScan as other files hold it; its stamp, or when it was received."""
     entry: dict[str, Any] = {key: float(field(message, key)) for key in _SPACING}
-    if not entry["angle_increment"]:
-        del entry["angle_increment"]
     ranges = np.asarray(field(message, "ranges"), dtype=np.float64)
     pace = float(field(message, "time_increment")) if has_field(message, "time_increment") else 0.0
     if 0 < pace * len(ranges) <= _LONGEST:  # some drivers write the time since the last scan

@@ -29,6 +29,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError, expect
+from imgloc.io.badlines import warned
 from imgloc.io.bags import NO_CLOUDS, bag_size, choose_topic, read_bag
 from imgloc.io.carmen import placed, read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
@@ -151,6 +152,24 @@ def _read(kind: "_Kind", path: PathLike, how: Logs) -> ScanSet:
         raise ScanError(f"{name}: has one laser, expected no topic, got {how.topic}: leave it out")
     chosen = choose_topic(lasers, how.topic, name)
     return scans.take([k for k, scan in enumerate(scans.scans) if scan.laser == chosen])
+
+
+def lasers_of_table(path: PathLike) -> Counter[str]:
+    r"""Count the scans of each laser that a table names; none where it cannot be read alone.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> sides, angles = ("left", "right") * 4, range(0, 90, 3)
+    >>> rows = [f"{side},{angle},1" for side in sides for angle in angles]
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "two.csv").write_text("\n".join(["side,angle_deg,range", *rows]))
+    ...     lasers_of_table(f"{folder}/two.csv")["right"]
+    4
+    """
+    with warned(), contextlib.suppress(ScanError):
+        return Counter(scan.laser for scan in read_csv(path).scans if scan.laser)
+    return Counter()
 
 
 def scans_size(
@@ -292,11 +311,11 @@ def _kind_of(path: PathLike) -> _Kind:
                 if re.match(rb"#ROSBAG V1|#ROSRECORD", opened.read(_HEAD)):
                     hint = "rosbag fix old.bag new.bag of ROS 1 makes one of version 2.0"
                     raise ScanError(f"{name}: is a bag of a version before 2.0; {hint}")
-        if kind in (_CARMEN, _CSV, _ECHO) and is_file(file):
-            # A field alone that ros2 topic echo prints is no YAML.
-            kind = _CSV if _refuse_spoken(path).startswith(b"array(") else kind
         if lower.endswith(".gz") and kind not in _TEXTS:
             raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
+        if kind in (_CARMEN, _CSV, _ECHO, _NPZ) and is_file(file):
+            # A field alone that ros2 topic echo prints is no YAML.
+            kind = _CSV if _refuse_spoken(path).startswith(b"array(") else kind
         return kind
     for known, hint in OTHERS["scans"].items():
         if lower.endswith((known, f"{known}.gz", f"{known}.zip")):

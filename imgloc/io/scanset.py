@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
+from itertools import cycle, islice
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ MAX_READINGS = 50_000_000
 """Readings a scan file may hold: 400 MB as float64."""
 MAX_SCANS, MAX_RAYS = 500_000, 100_000
 """Scans a file may hold, and readings a scan: 14 hours at 10 Hz, 278 readings a degree."""
+SEVERAL = 8  # lasers of a robot, at most
+_TURNS = 3  # of words, more than chance has
 SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = "range_min", "range_max"
 _PACE = "time_increment"
@@ -256,6 +259,35 @@ def _check_finite(
         raise wrong(f"{name}: {key}{at.tolist()}", array[tuple(at)], expected)
 
 
+def _told_apart(names: Sequence[str], times: Sequence[object]) -> bool:
+    """Return whether a field of any name has those of several lasers, of each scan with its time.
+
+    Scans at one time are of several lasers; without such a time words take turns.
+
+    >>> _told_apart(["0", "1", "0", "1"], [5, 5, 6, 6]), _told_apart(["0", "1"] * 9, range(18))
+    (True, False)
+    >>> _told_apart(["left", "right"] * 9, range(18)), _told_apart(["hall", "lab"], range(2))
+    (True, False)
+    """
+    count, several = len(names), len({*names})
+    at_once = 3 * len({*times}) <= 2 * len({*zip(times, names, strict=True)}) == 2 * count
+    words = all(any(map(str.isalpha, name)) for name in names) and count >= _TURNS * several
+    in_turn = words and [*names] == [*islice(cycle(names[:several]), count)]
+    return 1 < several <= min(SEVERAL, count / 2) and (at_once or in_turn)
+
+
+def _named(entries: Sequence[Entry]) -> Sequence[Entry]:
+    """The entries, named by a field that sets lasers apart where none has a laser's name."""
+    if not entries or any(entry.get("laser") for _, entry in entries):
+        return entries
+    times = [k if (t := e.get("stamp")) is None else t for k, (_, e) in enumerate(entries)]
+    for key in entries[0][1]:
+        names: list[Any] = [entry.get(key) for _, entry in entries]
+        if all(isinstance(name, str) for name in names) and _told_apart(names, times):
+            return [(where, {**entry, "laser": entry[key]}) for where, entry in entries]
+    return entries
+
+
 def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) -> ScanSet:
     """Check each entry of the file `name` and make the set.
 
@@ -263,7 +295,7 @@ def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) ->
     none may be. `odom` is NaN for an entry without odometry.
     """
     scans, beside = list[LaserScan](), {"pose": list[FloatArray](), "odom": list[FloatArray]()}
-    for where, entry in entries:
+    for where, entry in _named(entries):
         try:
             scan = _scan(entry, where)
             poses = {key: _pose(entry.get(key), where, key) for key in beside}
@@ -355,7 +387,7 @@ def scalar(value: Any, where: str) -> float:
 def _angles_of(value: Any, given: Mapping[str, float], count: int, where: str) -> FloatArray:
     """Angles of `count` rays: a value, or those of spacing that is `given`, or the stated view."""
     try:
-        for key in given.keys() & {*SPACING}:
+        for key in (key for key in SPACING if key in given):
             _check_angles(np.array([given[key]]), where, key)
         if value is None:
             angles = _spaced_angles(given, count, where)
@@ -374,6 +406,7 @@ def _angles_of(value: Any, given: Mapping[str, float], count: int, where: str) -
 def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatArray:
     """Angles of `count` rays from the first one, and from their spacing or the last one."""
     first, last, step = (given.get(key) for key in SPACING)
+    step = step if last is None else step or None  # drivers leave it at 0
     if first is None or (step is None and last is None):
         expected = "angles, or angle_min with angle_increment or angle_max, in radians"
         raise ScanError(f"{where}: angles: missing, expected {expected}")

@@ -41,12 +41,13 @@ NAMES = {
     "start_angle": "angle_min", "end_angle": "angle_max", "distances": "ranges",  # of Foxglove
     "readings": "ranges", "theta": "angles", "odometry": "odom", "true_pose": "pose",  # of CSM
 }  # fmt: skip
-LASERS = ("laser", "lidar", "sensor", "scanner", "source", "device", "frame", "link", "topic")
+LASERS = ("laser", "lidar", "sensor", "scanner", "device", "frame", "link", "topic")
 """What a field is called that names one of several lasers, beside frame_id."""
 _TABLE = "; readings with an angle each are a table, with a first line angle_deg,distance_mm"
 _NO = r"nul+|nil|none|n[/.]?[ad]\.?|#n/?a|k\.? ?a\.?|s[/.]?d\.?|[-?]+|-?1\.#(?:ind|qnan)\d*"
 _WORDS = re.compile(rf"{_NO}|(\+?(?:∞|1\.#inf\d*|unendlich|infini(?:to)?))")  # of programs, people
 _LISTS = re.compile(r'"(?:array\()?[\[(][^"]*"')  # in a cell, of which NumPy breaks the lines
+_PAIR = 3  # numbers at most of a reading with its angle, and a quality
 _NANO = 1e14  # seconds that no stamp has, but nanoseconds
 _POSES = ("pose", "odom", "mount")
 _TYPES = {"ranges": LASER, "child_frame_id": ODOMETRY, "transforms": TF[0]}
@@ -139,7 +140,9 @@ def _listed(whole: Any) -> list[Any]:
     """The scans of one JSON value: itself, or those that it lists."""
     if isinstance(whole, list):
         is_flat = whole and not any(isinstance(item, dict | list | str) for item in whole)
-        return [{"ranges": whole}] if is_flat else whole
+        rows = [whole] if is_flat else whole
+        are_rows = all(isinstance(row, list) and len(row) > _PAIR for row in rows)
+        return [{"ranges": row} for row in rows] if are_rows or is_flat else whole
     ranges = whole.get("ranges") if isinstance(whole, dict) else None
     if isinstance(ranges, list) and ranges and all(isinstance(row, list) for row in ranges):
         stamps = whole.pop("stamps", None) or [None] * len(ranges)

@@ -263,7 +263,7 @@ class Desk:
         return self.once("standard input", files, lambda: self._streamed(path, files))
 
     def _streamed(self, path: Path, files: ScanFiles) -> Taken:
-        with TemporaryDirectory(prefix="imgloc-") as folder:
+        with TemporaryDirectory(prefix="imgloc-") as folder, held(folder + os.sep, ""):
             spooled = Path(folder, "standard input")  # its content tells what it is
             try:
                 _spool(sys.stdin.buffer, spooled)

@@ -731,7 +731,7 @@ def test_what_is_copied_gives_what_the_page_shows(browser, log, tmp_path, words)
 def test_one_of_several_lasers_is_named_on_the_page(page: Any, log: Path, tmp_path: Path) -> None:
     made(log, tmp_path / "two.bag")
     drop(page, ("two.bag", (tmp_path / "two.bag").read_bytes()))
-    several = "scans on several topics, fill in “Laser”, one of /front/scan (1), /rear/scan (6)"
+    several = "scans of several lasers, fill in “Laser”, one of /front/scan (1), /rear/scan (6)"
     sync.expect(page.locator("#trouble")).to_contain_text(several)
     laser = page.get_by_label("Laser")
     laser.fill("/rear/scan")
