@@ -91,7 +91,8 @@ def sharing(
     [1.0, 2.1]
     """
     order, parts, _ = pieces(readings.ranges, readings.angles)
-    each = (np.sqrt(usable * kernel(residual, sigma)) * residual)[:, order]
+    # Rows that lie in memory one after another are summed alike, however many there are.
+    each = np.take(np.sqrt(usable * kernel(residual, sigma)) * residual, order, axis=1)
     inside = np.ones(len(order), np.bool_)  # of a piece, with the reading before
     inside[parts] = False
     before, after = each[:, :-1] * inside[1:], each[:, 1:] * inside[1:]
