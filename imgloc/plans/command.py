@@ -46,7 +46,7 @@ def plan(
     distance: Any = option(
         None,
         "Two points of the plan, pixels from its upper left corner or units of a drawing, and the "
-        "metres between them, as of a dimension line: they give the scale.",
+        "metres between them, such as those of a dimension line: they give the scale.",
         metavar="X1,Y1,X2,Y2,M",
         parse=numbers(5),
     ),

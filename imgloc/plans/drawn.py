@@ -168,7 +168,8 @@ class Sheet:
         on = walls[tuple(spots.clip(0, np.array(self.shape[::-1]) - 1).T[::-1])]
         free = np.split(~on, np.flatnonzero(np.diff(on)) + 1)
         least = building.THICKEST[-1] / self.pixel
-        return not on[[0, -1]].any() and sum(run[0] and len(run) > least for run in free) > 1
+        rooms = sum(bool(run[0]) and len(run) > least for run in free)
+        return rooms > 1 and not (on[0] or on[-1])
 
     def at(self, point: FloatArray, cells: masks.Labels | BoolArray, cell: float) -> int:
         """The value of the cell that a point of the drawing is in; 0 if it is in none."""
