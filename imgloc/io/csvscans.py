@@ -397,9 +397,7 @@ class _Table:
         """ScanError for ranges of several lasers, by what stands before the name of each."""
         if len(of := dict.fromkeys(names)) > 1:
             found = f"ranges of several lasers: {', '.join(of)}"
-            raise ScanError(
-                f"{self.name}: {found}; expected those of one, or a line for each laser"
-            )
+            raise ScanError(f"{self.name}: {found}; expected those of one, or a line each")
 
     def _by_contents(self, names: Sequence[str], fov: float | None) -> ScanSet | None:
         """The scans of columns without names, or with those of a language that is not known."""
