@@ -102,8 +102,11 @@ def test_a_field_of_any_name_tells_lasers_apart(tmp_path: Path, key: str) -> Non
     with pytest.raises(ScanError, match=rf"one of front \({N}\), rear \({N}\)"):
         load_scans(path)
     assert len(load_scans(path, topic="rear")) == N
-    for words in ([f"{k}.csv" for k in range(2 * N)], ["hall", "hall", "lab", "hall"] * 2):
-        own = [{**said, "stamp": k, "source": f"{k}.csv", key: w} for k, w in enumerate(words)]
+    files, turns = [f"{k}.csv" for k in range(2 * N)], ["there", "back"] * 9
+    runs = ["first"] * 9 + ["second"] * 9  # with times that begin again
+    for words in (files, ["hall", "hall", "lab", "hall"] * 2, turns, runs):
+        at = [k % 9 if words is runs else k for k in range(len(words))]
+        own = [{**said, "stamp": at[k], "source": f"{k}.csv", key: w} for k, w in enumerate(words)]
         path.write_text("\n".join(map(json.dumps, own)))
         np.testing.assert_allclose(load_scans(path)[7].angles, ANGLES)  # a step of 0 is none
     (tmp_path / "a.json").write_text(json.dumps([[1.0, 2.0, None, 4.0]] * 3))

@@ -85,7 +85,7 @@ _EVEN, _MANY = 8, 40  # numbers that rise evenly by chance in no scan, and rough
 # Rank correlation of two scans, of which most in 7 recorded logs have more, and how many times as
 # far one sees as another: at most 5.3 times there.
 _TOGETHER, _GREATER = 0.5, 10
-_BETWEEN = 0.4  # of a step, from the rays of a scan to those of another; a half if they alternate
+_BETWEEN = 0.2  # of a step, from rays of a scan to those of another; a quarter if four alternate
 _LIKE = 0.1  # median step from a range to the next one, as a share of the range
 # How many times as much ranges differ from the next number as from the one after it if others stand
 # between (at most 3 times in 11 recorded logs, at least 5.8 times with intensities there); of whole

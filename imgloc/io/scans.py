@@ -163,7 +163,7 @@ def lasers_of_table(path: PathLike) -> Counter[str]:
     >>> sides, angles = ("left", "right") * 4, range(0, 90, 3)
     >>> rows = [f"{side},{angle},1" for side in sides for angle in angles]
     >>> with TemporaryDirectory() as folder:
-    ...     _ = Path(folder, "two.csv").write_text("\n".join(["side,angle_deg,range", *rows]))
+    ...     _ = Path(folder, "two.csv").write_text("\n".join(["laser,angle_deg,range", *rows]))
     ...     lasers_of_table(f"{folder}/two.csv")["right"]
     4
     """

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from itertools import cycle, islice
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,6 @@ MAX_READINGS = 50_000_000
 MAX_SCANS, MAX_RAYS = 500_000, 100_000
 """Scans a file may hold, and readings a scan: 14 hours at 10 Hz, 278 readings a degree."""
 SEVERAL = 8  # lasers of a robot, at most
-_TURNS = 3  # of words, more than chance has
 SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = "range_min", "range_max"
 _PACE = "time_increment"
@@ -262,18 +261,18 @@ def _check_finite(
 def _told_apart(names: Sequence[str], times: Sequence[object]) -> bool:
     """Return whether a field of any name has those of several lasers, of each scan with its time.
 
-    Scans at one time are of several lasers; without such a time words take turns.
+    Of several lasers are scans that follow each other at one time. Words alone may be of rooms,
+    days or directions, and a second run may begin at the time of the first one.
 
-    >>> _told_apart(["0", "1", "0", "1"], [5, 5, 6, 6]), _told_apart(["0", "1"] * 9, range(18))
+    >>> _told_apart(["0", "1"] * 2, [5, 5, 6, 6]), _told_apart(["0", "0", "1", "1"], [5, 6] * 2)
     (True, False)
-    >>> _told_apart(["left", "right"] * 9, range(18)), _told_apart(["hall", "lab"], range(2))
-    (True, False)
+    >>> _told_apart(["there", "back"] * 9, range(18))
+    False
     """
     count, several = len(names), len({*names})
-    at_once = 3 * len({*times}) <= 2 * len({*zip(times, names, strict=True)}) == 2 * count
-    words = all(any(map(str.isalpha, name)) for name in names) and count >= _TURNS * several
-    in_turn = words and [*names] == [*islice(cycle(names[:several]), count)]
-    return 1 < several <= min(SEVERAL, count / 2) and (at_once or in_turn)
+    groups = np.cumsum([a != b for a, b in pairwise([None, *times])]).tolist()
+    pairs = len({*zip(groups, names, strict=True)})
+    return 1 < several <= min(SEVERAL, count / 2) and 3 * len({*groups}) <= 2 * pairs == 2 * count
 
 
 def _named(entries: Sequence[Entry]) -> Sequence[Entry]:
