@@ -445,7 +445,6 @@ def test_a_column_of_any_name_tells_lasers_apart(tmp_path: Path, name: str) -> N
 
 
 ORDERS = (range(RAYS), range(RAYS)[::-1], [*range(0, RAYS, 2), *range(1, RAYS, 2)],
-          [i for first in range(4) for i in range(first, RAYS, 4)],
           [*range(20, RAYS), *range(20)], np.argsort(RANGES[0]).tolist())  # fmt: skip
 BESIDE = ("status ok weak ok", "side left right", "echo 0 1", "id 1 2", "label wall", "source a")
 

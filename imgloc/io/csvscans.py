@@ -774,7 +774,12 @@ def _starts(keys: FloatArray | None, angles: FloatArray) -> list[int]:
 
 
 def _again(angles: FloatArray) -> list[int]:
-    """Where the scans begin of readings at one time, which run through the same angles again."""
+    """Where the scans begin of readings at one time, which run through the same angles again.
+
+    >>> turn = np.arange(0, 3, 0.05)
+    >>> _again(np.tile(turn, 2)), _again(np.concatenate([turn[k::4] for k in range(4)]))
+    ([0, 60], [0])
+    """
     starts, steps = _starts(None, angles), np.diff(angles)
     if len(starts) < 2 or min(np.diff([*starts, len(angles)])) < _EVEN:
         return [0]
