@@ -727,6 +727,23 @@ def test_a_few_stamps_that_go_back_are_sorted_and_a_clock_set_back_is_refused(ca
         next(follow(features, back, Tracker(features)))
 
 
+def test_a_stamp_that_leaps_alone_is_left_out_of_a_log_and_of_a_stream(caplog) -> None:
+    scans, features = log(), features_of(WORLD)
+
+    def left(stamps) -> set[int]:
+        coming = [replace(s, stamp=t) for s, t in zip(scans.scans, stamps, strict=True)]
+        run = follow(features, zip(coming, scans.odom, strict=True), Tracker(features))
+        return {*range(24)} - {m.index for m in run}
+
+    ahead, back = (scans.stamps + by * (np.arange(24) == 5) for by in (500.0, -500.0))
+    assert left(ahead) == {6}  # what comes later is not known; two in a row are the clock's
+    assert "scan 6: its stamp, 6.00, goes back; left out" in caplog.text
+    assert left(back) == {5}
+    assert left(scans.stamps - 9.5 * (np.arange(24) > 12)) == {13}
+    moments = follow(features, replace(scans, stamps=ahead), Tracker(features))
+    assert {*range(24)} - {m.index for m in moments} == {5}
+
+
 def test_scans_without_odometry_are_left_out_alone(caplog) -> None:
     scans, features = log(), features_of(WORLD)
     odom = scans.odom.copy()

@@ -246,6 +246,33 @@ def test_several_lasers_are_one_set_each_at_its_place(tmp_path: Path) -> None:
         load_scans(path, topic="/front,front")
 
 
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_robots_with_transforms_of_their_own_may_call_their_frames_alike(tmp_path, name) -> None:
+    m, content = messages_of(True), []
+    for one, x, q in (("a", 0.3, UP), ("b", -0.2, (0.0, 0.0, 1.0, 0.0))):
+        content += [(f"/{one}/tf_static", TF, m.transform("base_link", "laser", x, q))]
+        for t in (1.0, 2.0, 3.0):
+            content += [(f"/{one}/tf", TF, m.transform("odom", "base_link", x * t, stamp=t))]
+            content += [(f"/{one}/front/scan", SCAN, m.scan(t))]
+    path = write(tmp_path / "two.bag", "bag", content)
+    scans = load_scans(path, topic=f"/{name}/front/scan")
+    x, yaw = (0.3, 0.0) if name == "a" else (-0.2, math.pi)
+    assert scans[0].T_base_laser == Pose2D(x, 0.0, yaw)
+    np.testing.assert_allclose(scans.odom[:, 0], [x, 2 * x, 3 * x])
+
+
+def test_a_place_that_is_stated_of_a_laser_that_turns_is_refused(tmp_path: Path) -> None:
+    m, content = messages_of(True), []
+    for t, yaw in ((1.0, 0.0), (2.0, 0.05), (3.0, 0.5)):
+        q = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+        content += [("/tf", TF, m.transform("base_link", "laser", 0.2, q, t))]
+        content += [("/scan", SCAN, m.scan(t))]
+    for n, code in ((4, 0), (6, 4)):
+        path = write(tmp_path / f"{n}.bag", "bag", content[:n])
+        said = call("inspect", path, "--sensor", "0.2,0,0").ends(code)
+        assert ("--sensor: tf turns laser by 29 degrees" in said.err) is (code == 4)
+
+
 def test_what_is_no_bag_or_has_no_scans_is_one_error(tmp_path: Path) -> None:
     m = messages_of(False)
     path = write(tmp_path / "a", "mcap", [("/odom", ODOM, m.odometry(1.0, 0.0, 0.0))])

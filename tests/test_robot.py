@@ -95,6 +95,12 @@ def test_odometry_is_not_held(scan: float) -> None:
     np.testing.assert_allclose(odometry.at(1.05), [1.05, 0, 1.05])
 
 
+def test_where_the_robot_was_lately_is_known_for_a_second() -> None:
+    lately = Odometry([0.0, 1.0], [(0, 0, 0), (2.0, 0, 0)]).lately
+    assert [lately(t).tolist() for t in (0.5, 2.0)] == [[1.0, 0, 0], [2.0, 0, 0]]
+    assert (lately(2.1), Odometry().lately(1.0)) == (None, None)  # it may have gone on
+
+
 def test_a_log_is_prolonged_by_a_step_and_no_more() -> None:
     odometry = Odometry([0.0, 0.05], [(0, 0, 0), (0.05, 0, 0)])
     found = odometry.along(np.array([-0.05, 0.02, 0.1, 0.11]))
@@ -118,6 +124,8 @@ def test_a_leap_of_time_counts_from_the_second_stamp() -> None:
     ahead = Stamps(most=5.0)
     taken = [ahead.take(t, 10.0) for t in (9.0, 12.0, 12.1, 90.0, 90.1)]
     assert taken == [FINE, AHEAD, FINE, AHEAD, AHEAD]
+    slow = Stamps()  # a clock that is ahead, and a scan each other second
+    assert [slow.take(t, t - 1.5) for t in (0.0, 2.0, 4.0, 6.0)] == [AHEAD, FINE, FINE, FINE]
 
 
 def test_lasers_are_told_apart_by_name_wherever_they_sit() -> None:
@@ -148,9 +156,9 @@ def topic(name: str, frame: str, child: str) -> Source:
     return Source(name, frame, child, moves)
 
 
-def picked(topics, frames, laser="laser", scan="/scan", asked=""):
+def picked(topics, frames, laser="laser", scan="/scan", asked="", spaces=()):
     about = Recording(taken=scan)
-    source, about = pick_odometry(topics, frames, laser, about, asked, "a.bag")
+    source, about = pick_odometry(topics, frames, laser, about, asked, "a.bag", spaces)
     return SimpleNamespace(**(vars(about) | {"source": source}))
 
 
@@ -198,6 +206,13 @@ def test_several_robots_without_transforms_are_told_apart_by_name_or_refused() -
     with pytest.raises(ScanError, match="no odometry /c; it has /a/odom, /b/odom"):
         picked(both, Frames(), asked="/c")
     assert picked(both, Frames(), asked="b/odom").source is both[1]
+
+
+def test_robots_whose_frames_have_the_same_names_are_told_apart_by_their_topics() -> None:
+    both = [topic(name, "odom", "base_link") for name in ("/a/wheels", "/b/odom")]
+    found = picked(both, tree(""), scan="/a/scan", spaces="ab")
+    assert (found.source, found.robots) == (both[0], ("/b/odom",))
+    assert picked(both[1:], tree(""), scan="/a/scan", spaces="ab").source.tf
 
 
 def test_further_odometries_of_the_robot_are_named() -> None:

@@ -3,7 +3,6 @@
 Scans come from standard input, a pipe or a file that grows. A command imports this when it runs.
 """
 
-import math
 import signal
 import sys
 import time
@@ -264,7 +263,7 @@ def printed(
                 sink.add(moment, seen(moment.index))
             gone = moment.stamp - moments[0].stamp
             took = max(1e-9, time.perf_counter() - begin)
-            speed = "" if math.isnan(gone) else f"{gone / took:.1f} x real time"
+            speed = f"{gone / took:.1f} x real time" if gone >= 0 else ""
             advance(speed)
     verdicts = [moment.belief.verdict for moment in moments]
     counts = ", ".join(f"{verdicts.count(v)} {v}" for v in ("unique", "ambiguous", "lost"))

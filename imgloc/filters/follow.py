@@ -25,11 +25,11 @@ from imgloc.filters.scanodometry import APART, ScanOdometry
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Pose2D, Protection
+from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, Protection
 from imgloc.numbers import number
 from imgloc.options import Every, Followed, Limits, Options
 from imgloc.robot.lasers import Laser, Lasers
-from imgloc.robot.stamps import LEAP
+from imgloc.robot.stamps import ANEW, FINE, LEAP, OLD, Stamps
 from imgloc.search.protection import protection
 
 LOG = logging.getLogger("imgloc")
@@ -179,7 +179,10 @@ def follow(
     if start is not None:
         follower.place(start, deviation, "start")
     for index, scan, odom, stamp in readings:
-        yield replace(follower.step(scan, odom, stamp), index=index)
+        if not isinstance(scans, ScanSet) and follower.judge(scan, stamp) == OLD:
+            LOG.warning("%s: scan %d: its stamp, %.2f, goes back; left out", name, index, stamp)
+        else:
+            yield replace(follower.step(scan, odom, stamp), index=index)
 
 
 # Index, scan, odometry, stamp.
@@ -224,6 +227,12 @@ def _whole(scans: ScanSet, name: str) -> _Steps:
     stamps = np.full(len(known), np.nan) if known.stamps is None else known.stamps
     if (far := np.flatnonzero(np.abs(stamps) > _LATEST)).size:
         _check_order(name, indices[far[0]], np.nan, float(stamps[far[0]]))
+    if (lone := alone_ahead(stamps)).size:
+        text = "%s: %d of %d scans, the first %d, have a stamp ahead of all others; left out"
+        LOG.warning(text, name, len(lone), len(known), indices[lone[0]])
+        kept = np.setdiff1d(np.arange(len(known)), lone).tolist()
+        known, odom, stamps = known.take(kept), odom[kept], stamps[kept]
+        indices = [indices[k] for k in kept]
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
         ordered = in_order(stamps, odom)
         if ordered is None:
@@ -304,6 +313,7 @@ class Follower:
         self._odom: FloatArray | None = None
         self._stamp = self._said = float("nan")
         self._stamps = dict[str, float]()  # the last one of each laser
+        self._judges = defaultdict[str, Stamps](lambda: Stamps(shared=True))
 
     def place(
         self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, given: str = "pose"
@@ -315,16 +325,19 @@ class Follower:
         """
         self.filter.place(start_of(given, pose, deviation, self.features), deviation)
 
-    def begin_time(self) -> None:
-        """Take a stamp before the last one: the clock was set back, or the last one was wrong."""
-        self._said = self._stamp = np.nan
-        self._stamps.clear()
-        self._scans = ScanOdometry(self.filter.options)
+    def judge(self, scan: LaserScan, stamp: float, now: float = np.nan) -> str:
+        """Judge the stamp of a scan before its :meth:`step`: a word of :mod:`imgloc.robot.stamps`.
 
-    @property
-    def latest(self) -> float:
-        """The latest stamp, seconds; NaN if none is known."""
-        return self._stamp
+        `now` is the time of the clock that stamps are of, if it is known. If the clock was set
+        back, or the last stamp was wrong, time begins anew.
+        """
+        judged = self._judges[scan.laser].take(stamp, now)
+        if judged == ANEW:
+            self._said = self._stamp = np.nan
+            self._stamps.clear()
+            self._scans = ScanOdometry(self.filter.options)
+        # That another laser is so late says nothing of its clock.
+        return OLD if judged == FINE and stamp < self._stamp - LEAP else judged
 
     def step(self, scan: LaserScan, odom: FloatArray | None, stamp: float | None = None) -> Moment:
         """Take a scan and the odometry's pose (3,) at its stamp: metres, metres, radians.
@@ -451,6 +464,18 @@ class Follower:
             deviation, map_odom, grid.diagonal,
             shared.scale, shared.thinner * grid.resolution, shared.bent,
         )  # fmt: skip
+
+
+def alone_ahead(stamps: FloatArray) -> IntArray:
+    """Indices of stamps (N,) that leap ahead, though the next one goes on from the one before.
+
+    Examples
+    --------
+    >>> alone_ahead(np.array([0.0, 0.2, 99.0, 0.6, 0.8])), alone_ahead(np.array([9.0, 9.2, 1.0]))
+    (array([2]), array([], dtype=int64))
+    """
+    before = np.concatenate(([-np.inf], stamps))[:-2]
+    return np.flatnonzero((stamps[:-1] > stamps[1:] + LEAP) & (stamps[1:] >= before))
 
 
 def in_order(stamps: FloatArray, odom: FloatArray) -> tuple[list[int], FloatArray] | None:

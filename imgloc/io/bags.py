@@ -33,9 +33,9 @@ from imgloc.io.messages import (
 from imgloc.io.scanset import MAX_RAYS, MOUNTED, Entry, ScanSet, ScansSize, check_size, collect
 from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import MAX_BAD
-from imgloc.robot.frames import Frames
+from imgloc.robot.frames import Frames, space_of
 from imgloc.robot.odometry import Odometry
-from imgloc.robot.recording import SCANS, Recording, Source, mounted, pick_odometry
+from imgloc.robot.recording import SCANS, Recording, Source, frames_of, mounted, pick_odometry
 
 _LOG = logging.getLogger("imgloc")
 LASER, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
@@ -46,6 +46,7 @@ _SHOWN = 8  # topics in a message
 _FAR = 1e9  # metres that a robot is from where its odometry began
 _SAVES = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
 LEVEL = math.cos(math.radians(5))
+_TURNED = math.radians(5)  # by which tf may turn a laser whose place is stated
 NO_CLOUDS = "%s: `height` is not used: %s has scans, no clouds of points"
 _HINTS = {
     "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
@@ -127,7 +128,7 @@ class Beside:
     def __init__(self) -> None:
         # By topic, frame and child: seconds, x, y and yaw.
         self.moves = defaultdict[tuple[str, str, str], list[tuple[float, ...]]](list)
-        self.frames, self.odd = Frames(), 0
+        self.frames, self.odd = defaultdict[str, Frames](Frames), 0  # by the topic's namespace
 
     def take(self, topic: str, message: Any) -> None:
         """Take a message of a topic: a nav_msgs/Odometry, or transforms."""
@@ -136,7 +137,7 @@ class Beside:
                 child, parent, pose = link_of(item)
                 still = topic.endswith("_static")
                 stamp = -math.inf if still else seconds_of(field(item, "header.stamp"))
-                self.odd += not self.frames.add(child, parent, pose, stamp)
+                self.odd += not self.frames[space_of(topic)].add(child, parent, pose, stamp)
             return
         frame, child = field(message, "header.frame_id"), field(message, "child_frame_id")
         self.moves[topic, frame_name(frame), frame_name(child)].append(move_of(message))
@@ -145,13 +146,13 @@ class Beside:
         self, entries: Sequence[Entry], laser: str, about: Recording, odom: str, bad: BadLines
     ) -> ScanSet:
         """The set of the scans of a frame `laser`, with what is known beside them."""
-        name, frames = bad.name, self.frames
+        name, frames = bad.name, frames_of(about.taken, self.frames)
         if self.odd:
             _LOG.warning("%s: left out %d transforms, which are not finite", name, self.odd)
         moves = sorted(self.moves.items())
         known = [Source(*of, _odometry(rows, f"{name}: {of[0]}")) for of, rows in moves]
         asked = "" if odom == SCANS else odom
-        source, about = pick_odometry(known, frames, laser, about, asked, name)
+        source, about = pick_odometry(known, frames, laser, about, asked, name, self.frames)
         if odom == SCANS:
             source, about = None, replace(about, odometry="")
         return replace(_assemble(entries, source, frames, laser, bad), recording=about)
@@ -350,6 +351,11 @@ def _assemble(
     poses = [None if mounts is None else mounts.get(t) for t in stamps.tolist()]
     stated = MOUNTED.get() is not None
     level = [stated if pose is None else abs(pose[2, 2]) >= LEVEL for pose in poses]
+    yaws = [planar(pose)[2] for pose in (mounts or {}).values()]
+    if stated and yaws and (turned := float(np.ptp(np.unwrap(yaws)))) > _TURNED:
+        hint = "expected a place that stays; leave `sensor` out, and tf gives it"
+        by = f"{math.degrees(turned):.0f} degrees"
+        raise ScanError(f"{name}: `sensor`: tf turns {laser} by {by} along the log, {hint}")
     if mounts is not None:
         if not any(level) and mounts:
             _LOG.warning("%s: its laser is tilted in tf; imgloc takes scans for level", name)

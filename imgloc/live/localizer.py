@@ -15,7 +15,7 @@ import itertools
 import threading
 import time
 import weakref
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as Late
@@ -35,7 +35,7 @@ from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
 from imgloc.options import NAMED, Known, Options, Prior
 from imgloc.pipeline import localize
-from imgloc.robot.stamps import AHEAD, ANEW, FINE, LEAP, OLD, Stamps
+from imgloc.robot.stamps import AHEAD, OLD
 from imgloc.search.priors import leaves_none, prior_of
 
 T = TypeVar("T")
@@ -621,7 +621,6 @@ class Robot:
         self._lock = threading.RLock()
         self._follower: Follower | None = None
         self._start: tuple[Pose2D, tuple[float, float]] | None = None
-        self._stamps = defaultdict[str, Stamps](lambda: Stamps(shared=True))  # of each laser
         self.era = 0  #: number of resets
 
     def update(
@@ -677,14 +676,10 @@ class Robot:
                 if self.era != era:
                     raise Dropped("reset")
                 name, follower = self._following()
-                judged = self._stamps[scan.laser].take(scan.stamp, self._clock())
-            if judged == FINE and scan.stamp < follower.latest - LEAP:
-                judged = OLD  # that another laser is so late says nothing of its clock
+            judged = follower.judge(scan, scan.stamp, self._clock())
             if judged in (OLD, AHEAD):
                 self._core._line.count(key)
                 raise Dropped(judged)
-            if judged == ANEW:
-                follower.begin_time()
             moment = follower.step(scan, odometry)
             with self._lock:
                 if self.era != era:
@@ -718,7 +713,6 @@ class Robot:
         with self._lock:
             self.era += 1
             self._follower = self._start = None
-            self._stamps.clear()
             self.map = self.map if map is None else map
         self._core._line.clear(self)
 

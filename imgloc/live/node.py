@@ -473,6 +473,7 @@ class LocalizerNode:
         floors = self._robot.map is None and len(self.core.names) > 1
         alone = (self.settings.standing or self._checks) and self.first.wanted and self._stays(odom)
         if (floors or alone) and self.first.due(scan.stamp, odom):
+            self._stood = odom or Pose2D(0.0, 0.0)
             self._ask(one, scan, odom)
         follows = self.settings.track or self.settings.remember or self.settings.watch
         if floors or not (self.first.wanted or follows):
@@ -489,11 +490,7 @@ class LocalizerNode:
 
     def _stays(self, odom: Pose2D | None) -> bool:
         """Return whether one scan of this place has not been asked alone yet: it is asked once."""
-        here = odom or Pose2D(0.0, 0.0)
-        if self._stood is not None and _still(self._stood, here):
-            return False
-        self._stood = here
-        return True
+        return self._stood is None or not _still(self._stood, odom or Pose2D(0.0, 0.0))
 
     def _repeat(self, laser: Topic, now: float) -> None:
         """Take note of a scan that has the stamp of the one before, or comes after a later one."""
@@ -510,16 +507,14 @@ class LocalizerNode:
             self._moves.clear()
         elif judged != FINE:
             return
-        if not self._moved and time.monotonic() > self._first + LATE:
-            self._robot.reset()  # until now the scans alone told the motion
         self._moved = True
         self._odom_frame = frame_name(message.header.frame_id) or "odom"
         self._moves.add(stamp, pose)
         self._go_on()
 
     def _odometry(self, stamp: float) -> Pose2D | None:
-        """The robot's pose by odometry at a time; None if that is not known."""
-        found = self._moves.at(min(stamp, self._moves.last))
+        """The robot's pose by odometry at a time, or shortly before; None if that is not known."""
+        found = self._moves.lately(stamp)
         return None if found is None else Pose2D(*found)
 
     def _on_map(self, message: Any) -> None:
@@ -692,14 +687,14 @@ class LocalizerNode:
         if frame not in ("", self._map_frame):
             raise ConfigError(f"frame_id: got {printable(frame)!r}, expected {self._map_frame}")
         covariance = np.reshape(given.covariance, (6, 6))[np.ix_(_PLANE, _PLANE)]
-        return pose_of(given.pose), deviations_of(covariance)
+        metres, radians = deviations_of(covariance)  # 0: they are not known
+        return pose_of(given.pose), (metres or RADIUS, radians or TOLERANCE)
 
     def _on_hint(self, message: Any) -> None:
         """Take a pose of the base that somebody thinks of: a tag, a QR code, radio."""
         pose, (metres, radians) = self._given(message)
         least, turn = self.settings.least_deviation
-        metres = max(metres or RADIUS, least, 0.01)  # a covariance of 0 is one that is not known
-        radians = min(max(radians or TOLERANCE, turn, 0.001), math.pi)
+        metres, radians = max(metres, least, 0.01), min(max(radians, turn, 0.001), math.pi)
         hint = Hint(pose.x, pose.y, pose.theta, metres, radians)
         self._hints.append((seconds_of(message.header.stamp), hint))
 
@@ -815,7 +810,7 @@ class LocalizerNode:
         dropped = self.core.dropped + sum(laser.skipped + laser.bad for laser in self.lasers)
         row = status_row(
             self.found, self.first, now=self.now, stands=stands, dropped=dropped, said=said,
-            late=bool(self._waits()),
+            late=bool(self._waits()) or all(map(self._silent, self.lasers)),
         )  # fmt: skip
         if self.settings.watch:
             row["watch"] = {"of": self.settings.watch, **self.opinion.row(self.now)}

@@ -101,6 +101,12 @@ class Frames:
             link.stamps, link.poses = [stamp], [pose]
         return True
 
+    def join(self, other: "Frames") -> None:
+        """Add all that another tree has."""
+        for (child, parent), link in other._links.items():
+            for stamp, pose in zip(link.stamps, link.poses, strict=True):
+                self.add(child, parent, pose, stamp)
+
     def forget(self) -> None:
         """Forget the links that move, because time begins anew."""
         for child, parent in [key for key, one in self._links.items() if one.stamps != [-np.inf]]:
@@ -196,6 +202,17 @@ class Frames:
     def static(self, child: str, parent: str) -> bool:
         """Return whether a link never changes."""
         return self._links[child, parent].static
+
+
+def space_of(topic: str) -> str:
+    """The namespace of a topic.
+
+    Examples
+    --------
+    >>> space_of("/robot1/tf"), space_of("/tf")
+    ('robot1', '')
+    """
+    return topic.strip("/").rpartition("/")[0]
 
 
 def between(a: FloatArray, b: FloatArray, share: float) -> FloatArray:

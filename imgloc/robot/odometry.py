@@ -99,6 +99,10 @@ class Odometry:
             return None
         return self._on_line(k, stamp)
 
+    def lately(self, stamp: float) -> FloatArray | None:
+        """Pose (3,) at a time, or the last one, which may be :data:`GAP` older; else None."""
+        return self.at(min(stamp, self.last)) if stamp <= self.last + GAP else None
+
     def _on_line(self, k: int, stamp: float) -> FloatArray:
         """Pose (3,) at a time on the line through the poses k - 1 and k."""
         before, after = self._stamps[k - 1], self._stamps[k]

@@ -1,7 +1,7 @@
 """Contents of a log by name, and the odometry of the robot that carries a laser."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.model import FloatArray
-from imgloc.robot.frames import BASES, Frames
+from imgloc.robot.frames import BASES, Frames, space_of
 from imgloc.robot.odometry import Odometry
 
 # Poses of a simulator or of cameras in the room, which a robot does not know of itself.
@@ -61,8 +61,9 @@ class Recording:
 
 
 def pick_odometry(
-    topics: Sequence[Source], frames: Frames, laser: str, about: Recording, asked: str, name: str
-) -> tuple[Source | None, Recording]:
+    topics: Sequence[Source], frames: Frames, laser: str, about: Recording, asked: str, name: str,
+    spaces: Collection[str] = (),
+) -> tuple[Source | None, Recording]:  # fmt: skip
     """Pick the odometry of the robot that carries a laser, if any; name it and the others.
 
     It is the moving frame from which tf leads to the frame of the laser: a topic whose
@@ -84,6 +85,8 @@ def pick_odometry(
         Topic or frame that the user names; empty to pick one.
     name : str
         What errors call the log.
+    spaces : collection of str
+        Namespaces that have transforms.
 
     Raises
     ------
@@ -107,14 +110,16 @@ def pick_odometry(
     # A body ends where an odometry begins: two robots may hang in one tree.
     ends = {source.frame for source in own if source.frame} | {link.frame for link in links[:1]}
     body = _reached(frames, laser, ends)
-    linked = [s for s in own if s.child in body]
-    away = [s for s in own if s not in linked and s.child and frames.parents(s.child)[1:]]
+    near = [s for s in own if {*spaces_of(s.name, spaces)} <= {*spaces_of(topic, spaces)}]
+    linked = [s for s in near if s.child in body]
+    known = [s for s in own if s not in near or (s.child and frames.parents(s.child)[1:])]
+    away = [s for s in known if s not in linked]
     unknown = [s for s in own if s not in linked and s not in away]
     names = tuple(source.words for source in truths)
     if not linked and unknown:
-        space = _space(topic)
-        linked = [s for s in unknown if _space(s.name) == space] or unknown
-        spaces = {_space(s.name) for s in linked}
+        space = space_of(topic)
+        linked = [s for s in unknown if space_of(s.name) == space] or unknown
+        spaces = {space_of(s.name) for s in linked}
         if len(linked) > 1 and len(spaces) > 1 and not links:
             there = ", ".join(source.words for source in linked)
             raise ScanError(
@@ -140,7 +145,7 @@ def pick_odometry(
 def _rank(source: Source, links: Sequence[Source], topic: str) -> tuple[bool, bool, bool, str]:
     """The lesser, the likelier: as drivers call it, and as tf has it."""
     called = source.name.strip("/").split("/")[-1] != "odom"
-    away = _space(source.name) != _space(topic)
+    away = space_of(source.name) != space_of(topic)
     other = bool(links) and (source.frame, source.child) != (links[0].frame, links[0].child)
     return called, away, other, source.name
 
@@ -193,9 +198,27 @@ def _reached(frames: Frames, laser: str, ends: set[str]) -> set[str]:
     return out
 
 
-def _space(topic: str) -> str:
-    """The namespace of a topic."""
-    return topic.strip("/").rpartition("/")[0]
+def spaces_of(topic: str, spaces: Collection[str]) -> list[str]:
+    """Pick the namespaces whose transforms are those of the robot that has a topic.
+
+    Robots whose frames have the same names have transforms on topics of their own.
+
+    Examples
+    --------
+    >>> spaces_of("/a/front/scan", ["", "a", "b"]), spaces_of("/scan", ["a"]), spaces_of("/c", "ab")
+    (['', 'a'], ['a'], [])
+    """
+    path = f"/{space_of(topic)}/"
+    own = [space for space in spaces if not space or path.startswith(f"/{space}/")]
+    return own or list(spaces) * (len(spaces) == 1)
+
+
+def frames_of(topic: str, spaces: Mapping[str, Frames]) -> Frames:
+    """Transforms by namespace, joined for the robot that has a topic."""
+    first, *more = [spaces[space] for space in spaces_of(topic, spaces)] or [Frames()]
+    for other in more:
+        first.join(other)
+    return first
 
 
 def mounted(

@@ -57,6 +57,7 @@ class Stamps:
     def start(self) -> None:
         """Know no stamp."""
         self.latest = -math.inf
+        self._lead = 0.0  # seconds by which a leap that counted is ahead of the clock
         self._back = self._ahead = math.nan  # the stamp before, if it leapt so
 
     def take(self, stamp: float, now: float = math.nan) -> str:
@@ -76,9 +77,10 @@ class Stamps:
             return ANEW
         if stamp < self.latest or (stamp == self.latest and not self._shared):
             return OLD
-        if stamp > now + LEAP and stamp > self.latest + LEAP:
+        if stamp > now + self._lead + LEAP and stamp > self.latest + LEAP:
             self._ahead = stamp
             if not ahead <= stamp or stamp > now + self.most:
                 return AHEAD
+            self._lead = stamp - now
         self.latest = stamp
         return FINE

@@ -17,7 +17,7 @@ from imgloc import ConfigError, Localizer, Options, Sensor, simulate
 from imgloc.live.node import LocalizerNode, load_ros, with_parameters
 from imgloc.live.settings import Settings
 from imgloc.live.status import ERROR, Found, weighed
-from imgloc.options import TOLERANCE, Hint
+from imgloc.options import RADIUS, TOLERANCE, Hint
 from imgloc.ranges import declared
 
 pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
@@ -52,6 +52,11 @@ class Heard:
         while not there():
             assert time.monotonic() < end, self.node._health()
             self.executor.spin_once(timeout_sec=0.1)  # an error of a callback comes out here
+
+    def prepare(self, **changed: Any) -> None:
+        """Send a map and wait until it is ready."""
+        self.send("map", self.map(**changed))
+        self.until(lambda: self.core.ready)
 
     def close(self) -> None:
         self.node.close()
@@ -123,8 +128,7 @@ def test_a_map_that_cannot_be_is_named_and_the_next_one_is_used(heard: Heard) ->
 
 
 def test_scans_and_odometry_that_cannot_be_do_not_end_it(heard: Heard) -> None:
-    heard.send("map", heard.map(at=(-5.0, 3.0), q=(0.0, 0.0, 0.6, 0.8)))
-    heard.until(lambda: heard.core.ready)
+    heard.prepare(at=(-5.0, 3.0), q=(0.0, 0.0, 0.6, 0.8))
     for x in (NAN, INF, 1e308, -1e308, 1e15, 5.0):
         heard.send("odom", heard.odometry(x))
         heard.send("scan", heard.scan())
@@ -180,8 +184,7 @@ def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
 
 
 def test_hints_move_with_the_robot_and_some_cannot_be(heard: Heard) -> None:
-    heard.send("map", heard.map())
-    heard.until(lambda: heard.core.ready)
+    heard.prepare()
     heard.send("odom", at := heard.odometry())
     message = heard.stamped(heard.ros.geometry_msgs.PoseWithCovarianceStamped(), "map")
     message.header.stamp = at.header.stamp
@@ -201,6 +204,28 @@ def test_hints_move_with_the_robot_and_some_cannot_be(heard: Heard) -> None:
     assert (found[1].why, found[2].masses > start.masses) == ("hinted", True)
 
 
+def test_a_given_pose_whose_covariance_is_not_known_is_rough(heard: Heard) -> None:
+    heard.prepare()
+    message = heard.stamped(heard.ros.geometry_msgs.PoseWithCovarianceStamped(), "map")
+    message.pose.pose.position.x = 5.0
+    for variance in (0.0, NAN, -1.0):
+        message.pose.covariance[:] = np.full(36, variance)
+        heard.node._on_set_pose(SimpleNamespace(pose=message), None)
+        assert heard.node._robot._start == (imgloc.Pose2D(5.0, 0.0), (RADIUS, TOLERANCE))
+
+
+def test_a_robot_that_stops_while_another_scan_is_asked_is_asked_there_too(heard: Heard) -> None:
+    heard.node.settings = replace(heard.node.settings, standing=True)
+    heard.prepare()
+    for x, stood in ((0.0, 0.0), (0.3, 0.0), (0.3, 0.3)):
+        for message in (heard.odometry(x), heard.scan(), heard.odometry(x)):
+            heard.send("odom" if hasattr(message, "pose") else "scan", message)
+        assert heard.node._stood.x == stood
+        if x:
+            heard.until(lambda: heard.node._asked is None)
+            time.sleep(0.1)  # more than `every`
+
+
 def weighed_by(hint: Hint) -> tuple[Found, ...]:
     """A unique answer: as it is, with a hint at its second place, and with one at its first."""
     here, there = imgloc.Pose2D(hint.x, hint.y), imgloc.Pose2D(hint.x + 9, hint.y)
@@ -213,8 +238,7 @@ def test_poses_are_in_the_frame_of_a_map_that_lies_anywhere(heard: Heard) -> Non
     """The origin is far off and turned, and its quaternion is not quite one."""
     yaw, z = 2 * math.atan2(0.6, 0.8), 1.3
     heard.node.settings = replace(heard.node.settings, standing=True)
-    heard.send("map", heard.map(at=(-512.3, 87.1), q=(0.0, 0.0, 0.6 * z, 0.8 * z)))
-    heard.until(lambda: heard.core.ready)
+    heard.prepare(at=(-512.3, 87.1), q=(0.0, 0.0, 0.6 * z, 0.8 * z))
     there = imgloc.OccupancyGrid(
         GRID.occupied, GRID.free, GRID.resolution, imgloc.Pose2D(-512.3, 87.1, yaw)
     )
@@ -251,8 +275,7 @@ def test_one_stale_scan_changes_nothing_and_a_clock_set_back_does(heard: Heard) 
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(at, 10**9)
         return message
 
-    heard.send("map", heard.map())
-    heard.until(lambda: heard.core.ready)
+    heard.prepare()
     for seconds in (0.0, -20.0, 0.1, -20.0, 0.2):
         heard.send("scan", stamped(seconds))
     assert heard.node._era == 1
@@ -263,8 +286,7 @@ def test_one_stale_scan_changes_nothing_and_a_clock_set_back_does(heard: Heard) 
 
 def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(heard, monkeypatch):
     monkeypatch.setattr("imgloc.live.node.LATE", 0.2)
-    heard.send("map", heard.map())
-    heard.until(lambda: heard.core.ready)
+    heard.prepare()
     laser = heard.node.lasers[0]
     heard.send("odom", heard.odometry())
     heard.send("scan", heard.scan())

@@ -159,6 +159,7 @@ def test_a_robot_is_told_its_first_pose_once_and_silence_is_said(field, log) -> 
     field.until(lambda: field.level() == 3)
     assert field.heard("diagnostics")[-1]["message"] == "no scans on /scan"
     field.until(lambda: not field.heard("status")[-1]["localized"])
+    assert field.heard("status")[-1]["withheld"] == "late"
     told = field.told(log)
     assert (told.poses, told.right) == (1, True), told
     assert told.worst_m < 0.1
