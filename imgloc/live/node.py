@@ -278,7 +278,7 @@ class LocalizerNode:
         self._sure = False  # whether that is a pose that was published
         self._took = 0.0  # seconds from the last scan that was tried to its answer
         self._followed = False  # whether the filter has had a pose
-        self._map_frame, self._odom_frame = settings.map_frame, "odom"
+        self._map_frame, self._odom = settings.map_frame, ("odom", "")  # its frame and child
         self._moves, self._move_stamps = Odometry(most=_MOVES), Stamps(settings.max_age)
         self._frames = Frames(most=_MOVES)
         self._waiting = deque[_Waiting]()
@@ -502,13 +502,16 @@ class LocalizerNode:
         stamp, *pose = move_of(message)
         if not all(map(math.isfinite, (stamp, *pose))):
             return
+        odom = frame_name(message.header.frame_id) or "odom", frame_name(message.child_frame_id)
+        if self._moved and odom != self._odom and stamp <= self._moves.last + GAP:
+            both = " and ".join(printable(" -> ".join(one)) for one in (self._odom, odom))
+            raise ScanError(f"of two robots, {both}? only the first is used; remap odom")
         judged = self._move_stamps.take(stamp, self.now)
         if judged == ANEW:
             self._moves.clear()
         elif judged != FINE:
             return
-        self._moved = True
-        self._odom_frame = frame_name(message.header.frame_id) or "odom"
+        self._moved, self._odom = True, odom
         self._moves.add(stamp, pose)
         self._go_on()
 
@@ -779,7 +782,7 @@ class LocalizerNode:
             header = self.made.header(asked.stamp, self._map_frame)
             self._pose.publish(self.made.pose(found.poses[0], moment.covariance, header))
             if moment.map_odom is not None:
-                link = self.made.link(moment.map_odom, header, self._odom_frame)
+                link = self.made.link(moment.map_odom, header, self._odom[0])
                 self._map_odom.publish(link)
                 if self.settings.tf:
                     time_ = self.ros.rclpy.time.Time.from_msg(asked.stamp)

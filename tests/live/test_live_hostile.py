@@ -152,6 +152,15 @@ def test_a_message_that_nobody_thought_of_is_left_out(heard, capfd):
     assert "odom: left out; a defect, AttributeError" in capfd.readouterr().err
 
 
+def test_the_odometry_of_a_second_robot_on_the_same_topic_is_named_and_left_out(heard, capfd):
+    for k, child in enumerate(("a/base", "b/base", "a/base")):
+        message = heard.odometry(float(k))
+        message.child_frame_id = child
+        heard.send("odom", message)
+    assert "odom: of two robots, odom -> a/base and odom -> b/base?" in capfd.readouterr().err
+    assert [pose[0] for pose in heard.node._moves._poses] == [0.0, 2.0]
+
+
 def test_a_status_that_cannot_be_told_does_not_end_the_node(heard, capfd):
     first, heard.node.first = heard.node.first, "a defect"  # whatever makes the timer's work fail
     heard.until(lambda: "status: left out; a defect" in capfd.readouterr().err)
