@@ -131,7 +131,8 @@ def follow(
         scan, with its stamp, and the odometry's pose at that time: metres, metres, radians.
         The next scan is taken from it after the moment of the last one has been used. Where a log
         has no odometry, or none that moves, the motion is found by the scans alone; else scans
-        without odometry are left out.
+        without odometry are left out. So is a scan of an iterable whose stamp goes back; if by more
+        than a second, the second such one counts, because the clock was set back.
     filter_ : Filter
         A filter made for the same features. It is changed.
     every : Every, optional
@@ -154,8 +155,8 @@ def follow(
     Raises
     ------
     ScanError
-        If the odometry is in millimetres, or stamps run backwards. A ScanSet is checked before its
-        first moment.
+        If the odometry is in millimetres, or stamps of a ScanSet run backwards. It is checked
+        before its first moment.
     ConfigError
         If `start` is outside of the map.
 
