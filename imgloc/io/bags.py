@@ -154,7 +154,7 @@ class Beside:
         asked = "" if odom == SCANS else odom
         source, about = pick_odometry(known, frames, laser, about, asked, name, self.frames)
         if odom == SCANS:
-            source, about = None, replace(about, odometry="")
+            source, about = None, replace(about, odometry="", why="")
         return replace(_assemble(entries, source, frames, laser, bad), recording=about)
 
 
