@@ -11,7 +11,7 @@ The map's own errors are not simulated. They are fitted from recorded scans, who
 known: together these scans determine the map's scale and by how much its walls are too thick.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,7 +19,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import evenly, one_per_place
+from imgloc.features.scanpoints import Readings, evenly, one_per_place
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import misfit_near, view_of
 from imgloc.filters.follow import UNCONFIRMED, follow
@@ -42,7 +42,7 @@ from imgloc.options import LOG_METHODS, Calibration, Options, Sensor, Shared, sc
 from imgloc.pipeline import find_modes, localize
 from imgloc.search.adapt import GAIN, THINNER, Told, as_seen, image_gain, judged, told_by
 from imgloc.search.faces import any_depth, on_faces
-from imgloc.search.refine import refine
+from imgloc.search.refine import FROM_CELLS, refine
 from imgloc.simulation.scans import simulate
 
 SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
@@ -264,8 +264,13 @@ def fit_shared(
     more, other = settled(replace(begin, thinner=THINNER))
     shared = other if more > gained + GAIN else shared
     for _ in range(2):
-        left = [_left(features, scan, options, shared) for scan in some]
-        steps = np.array([step for step in left if step is not None])
+        known = replace(options, shared=shared)
+        steps = np.array(
+            [
+                refine(np.append(at, [[1]], axis=1), seen.xy, there.field, sigmas=FROM_CELLS)[0, 3]
+                for there, seen, at in _placed(features, some, known)
+            ]
+        )
         _enough(len(steps), len(some))
         middle, error = _middle(steps)
         shared = replace(shared, scale=shared.scale * middle)
@@ -369,21 +374,31 @@ def fit_depth(
     with the scale and the walls in `options`. The result is the median over the ``unique`` scans,
     and its standard error, metres. A ConfigError if they are fewer than :data:`LEAST_FIT`.
     """
-    options = replace(options or Options(), top=1)
-    shared = replace(options.shared, depth=None)
-    found = list[float]()
-    for scan in scans:
-        answer = localize(features, scan, replace(options, shared=shared))
-        if answer.verdict == "unique":
-            pose = in_grid_frame(answer.hypotheses[0], features.grid.info).pose
-            there, near = as_seen(features, scan, shared)
-            seen = one_per_place(near, options.fused.place)
-            seen, at = seen.spread(options.fused.rays), np.array([[pose.x, pose.y, pose.theta]])
-            settled = on_faces(at, seen, there, any_depth())
-            found.append(float(settled.depth[0]))
+    options = options or Options()
+    options = replace(options, shared=replace(options.shared, depth=None))
+    found = [
+        float(on_faces(at, seen.spread(options.fused.rays), there, any_depth()).depth[0])
+        for there, seen, at in _placed(features, scans, options)
+    ]
     _enough(len(found), len(scans))
     middle, error = _middle(np.array(found))
     return middle, error
+
+
+def _placed(
+    features: MapFeatures, scans: Sequence[LaserScan], options: Options
+) -> Iterator[tuple[MapFeatures, Readings, FloatArray]]:
+    """Map, readings and pose (1, 3), grid frame, of each scan at one place.
+
+    No other error is allowed for than that in the options.
+    """
+    options = replace(options, top=1, fused=replace(options.fused, strained=float("inf")))
+    for scan in scans:
+        answer = localize(features, scan, options)
+        if answer.verdict == "unique" and answer.pose is not None:
+            there, near = as_seen(features, scan, options.shared)
+            at = np.array([[*in_grid_frame(answer.pose, features.grid)]])
+            yield there, one_per_place(near, options.fused.place), at
 
 
 def _middle(values: FloatArray) -> tuple[float, float]:
@@ -401,16 +416,3 @@ def _enough(fit: int, asked: int) -> None:
             "say what error they share; are they from here? Scans of a log with odometry need not "
             "fit one by one"
         )
-
-
-def _left(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> float | None:
-    """Factor on a given scale with which a scan fits best; None if it fits at no single place."""
-    known = replace(options.fused, strained=float("inf"))
-    answer = localize(features, scan, replace(options, shared=shared, fused=known))
-    if answer.verdict != "unique":
-        return None
-    pose = in_grid_frame(answer.hypotheses[0], features.grid.info).pose
-    there, near = as_seen(features, scan, shared)
-    seen = one_per_place(near, options.fused.place)
-    begin = np.array([[pose.x, pose.y, pose.theta, 1.0]])
-    return float(refine(begin, seen.xy, there.field, sigmas=(0.1, 0.05))[0, 3])

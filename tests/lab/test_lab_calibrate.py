@@ -164,7 +164,7 @@ def test_an_error_that_few_scans_share_in_the_end_is_none(monkeypatch) -> None:
     features, told = prepare(ROOM), simulate(ROOM, 5, 4, Sensor(rays=181, fov=6.2))
     assert fit_shared(features, told.scans).shared.scale == pytest.approx(1, abs=0.01)
     # Each fits at an error of its own, none at that of all.
-    monkeypatch.setattr(calibrate, "_left", lambda *given: None)
+    monkeypatch.setattr(calibrate, "_placed", lambda *given: iter(()))
     with pytest.raises(ConfigError, match="0 of 5 scans fit this map at one place"):
         fit_shared(features, told.scans)
 
