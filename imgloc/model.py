@@ -369,6 +369,8 @@ class LaserScan(ByContent):
         >>> LaserScan([1500.0, 2500.0, 2600.0], [0.0, 0.1, 0.2], range_max=30.0).scaled(0.001)
         <LaserScan of 3 rays, 3 valid: 0 to 11.46 deg, 1.5 to 2.6 m of at most 30>
         """
+        if factor == 1:
+            return self
         seen = np.unique(self.ranges[np.isfinite(self.ranges) & (self.ranges > 0)])
         beyond = int(np.count_nonzero(seen >= self.range_max))
         other_unit = not 0.1 < factor < 10 and beyond > _CODES + len(seen) - beyond

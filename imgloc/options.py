@@ -38,8 +38,6 @@ SCALES = 0.5, 2
 """The least and the greatest factor on all readings that can be stated or found."""
 DEEPEST = 0.15
 """Metres that readings may end behind, or before, the border of a wall, to be stated or found."""
-LOG_VOLUME = -13.4
-"""Logarithm of the share of a hypothesis in all poses of a place known to 2.5 m and 30 degrees."""
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Place = Annotated[float, Within(-FAR, FAR, "metres")]  #: x or y
@@ -344,6 +342,23 @@ class Shared(Checked):
     usual: Annotated[float, Within(0, 10, "nats")] = 0.0
     #: whether somebody says that walls are straight: then neither image nor scans can bend them
     straight: bool = False
+
+
+def log_share(same: tuple[float, float], space: float) -> float:
+    """Logarithm of the share of a hypothesis in a `space` of poses, m² rad.
+
+    Poses that are as near as `same`, metres and radians, are one hypothesis: a Gaussian of these.
+    """
+    metres, radians = same
+    return math.log(2 * math.pi * metres**2 * radians / space)
+
+
+def _near() -> float:
+    return log_share(FusedOptions.same, math.pi * RADIUS**2 * 2 * TOLERANCE)
+
+
+LOG_VOLUME = _near()
+"""Logarithm of the share of a hypothesis in all poses near one that is roughly known."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ LEFT = {
         "_OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
         " ALLOWED_ERROR _STEPS _MINUTE _FAR _erfc"
     ),
-    "a unit, a pattern, nothing": "_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS LOG_VOLUME",
+    "a unit, a pattern, nothing": "_CM _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS",
     "a promise": "SCALES SHARES DEEPEST TOLERANCES",
     "what evo has, whose figures ours are compared with": "_APART",
     "bounds of files, pictures, clocks": (

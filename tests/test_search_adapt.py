@@ -221,8 +221,12 @@ def test_walls_that_are_too_thick_are_seen_as_such():
 
 def test_walls_of_a_very_large_map_that_are_too_thick_are_seen_as_such(monkeypatch):
     monkeypatch.setattr("imgloc.features.mapfeatures.PEELED_CELLS", 0)
+    wide, known = MapFeatures(thick(world()[0])), Options(shared=Shared(thinner=2))
     for scan, pose in list(world()[1].with_poses())[1:]:
-        assert away(localize(MapFeatures(thick(world()[0])), scan), pose) < 0.08
+        assert away(localize(wide, scan), pose) < 0.08
+        stated = localize(wide, scan, known)
+        assert away(stated, pose) < 0.08
+        assert (stated.evidence.scale, stated.evidence.thinner) == (1.0, pytest.approx(0.2))
 
 
 def test_no_more_cells_are_taken_off_than_allowed(monkeypatch):

@@ -48,7 +48,9 @@ def test_a_worse_fit_never_sharpens_an_answer(trust, a, b):
 @given(gains, volumes)
 def test_the_chance_of_being_elsewhere_is_a_logistic_regression(gained, volume):
     nats = max(-12, min(gained, 12))
-    odds = -4.0 - 0.5 * nats + 0.25 * min(0, -13.4 - volume) * max(0, nats)
+    # A hypothesis of 2 cm and 0.7 degrees in a place that is known to 2 m and 0.8 radians.
+    near = math.log(2 * math.pi * 0.02**2 * math.radians(0.7) / (math.pi * 2.0**2 * 1.6))
+    odds = -4.0 - 0.5 * nats + 0.25 * min(0, near - volume) * max(0, nats)
     expected = math.exp(odds) / (1 + math.exp(odds))
     assert TRUST.mass_elsewhere(gained, volume) == pytest.approx(expected)
 

@@ -7,6 +7,7 @@ number of its log for each scan)::
     python -m tools.old_maps ../data/wean --starts 8 --calibrated
     python -m tools.old_maps ../data/wean --one-scan 60
     python -m tools.old_maps ../data/gh25 --thicker 2 --starts 4
+    python -m tools.old_maps ../data/gh25 --thicker 2 --scale 1.05 --fit
 
 It prints a row for each log from its true start, and a row for starts spread over it from anywhere.
 The root mean square error and the mean normalised estimation error squared (3 if the claims are
@@ -14,6 +15,7 @@ right) are of the ``unique`` poses. With ``--thicker N`` each wall is N cells th
 with ``--scale F`` all ranges are F times as long.
 
 With ``--calibrated`` the tracker begins with what ``imgloc calibrate --scans`` finds in the set.
+With ``--fit`` it prints what that command finds if no odometry joins the scans.
 With ``--one-scan N`` it locates each of N scans by itself, with the walls as drawn and with what
 ``imgloc calibrate --scans`` finds in the whole set. A log without odometry gets that of its poses,
 with noise.
@@ -30,7 +32,7 @@ import numpy as np
 
 from imgloc import Options, Pose2D, ScanSet, load_map, load_scans, make_filter, prepare
 from imgloc.filters.follow import robot_poses
-from imgloc.lab.calibrate import fit_along
+from imgloc.lab.calibrate import fit_along, fit_shared
 from imgloc.options import Chosen, Every, Shared
 from tools.filters import Run, Searches, drive, driven, from_starts
 from tools.plans.measure import Row, judge
@@ -42,6 +44,7 @@ RIGHT = 1.0  # metres
 FOUND = 30.0  # metres driven after which a robot should be found
 PIECE = 35.0  # metres of a run from anywhere
 ONE = "set | walls | scans | first | unique | unique and wrong | no-match | lists the pose"
+FIT = "set | cells thicker | ranges times | found: ranges times | +- | cells thinner | fit"
 HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m | RMSE m | NEES"
 
 
@@ -86,6 +89,17 @@ def pieces_of(scans: ScanSet, starts: int) -> Iterator[ScanSet]:
     yield from from_starts(scans, np.linspace(0, last, starts).astype(int).tolist(), PIECE)
 
 
+def fitted_row(folder: Path, how: argparse.Namespace) -> tuple[object, ...]:
+    """The row of the error that the scans of a set share, one by one."""
+    grid = dilated(load_map(folder / "map.yaml"), np.random.default_rng(0), how.thicker)
+    scans = [scan.scaled(how.scale) for scan in load_scans(folder / "scans.npz").scans]
+    found = fit_shared(prepare(grid, folder.name), scans)
+    scale, thinner = found.shared.scale, found.shared.thinner
+    fit = f"{found.used} of {found.asked}"
+    cells = f"{scale:.4f}", f"{found.deviation:.4f}", thinner, fit
+    return folder.name, how.thicker, f"{how.scale:g}", *cells
+
+
 def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...]]:
     """The rows of a set whose scans are located one by one."""
     grid, recorded = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
@@ -106,6 +120,7 @@ def main() -> int:
     parser.add_argument("--calibrated", action="store_true", help="begin with fitted walls")
     parser.add_argument("--thicker", type=int, default=0, metavar="CELLS", help="walls, a side")
     parser.add_argument("--scale", type=float, default=1.0, help="factor on all ranges")
+    parser.add_argument("--fit", action="store_true", help="print what calibrate finds")
     parser.add_argument("--one-scan", type=int, metavar="N", help="locate N scans one by one")
     given = parser.parse_args()
 
@@ -114,6 +129,8 @@ def main() -> int:
             at_least_one(one_scan=given.one_scan)
             ones = (one_scan_rows(f, given.one_scan, given.seed) for f in given.folders)
             return show(table_lines(ONE, chain.from_iterable(ones)))
+        if given.fit:
+            return show(table_lines(FIT, (fitted_row(f, given) for f in given.folders)))
         at_least_one(starts=given.starts)
         rows = chain.from_iterable(rows_of(folder, given) for folder in given.folders)
         return show(table_lines(HEAD, rows))

@@ -166,6 +166,7 @@ class DistanceField:
     height: int  #: rows and columns
     width: int
     resolution: float  #: side of a cell, metres
+    recess: float = 0.0  #: metres by which the surfaces lie deeper in the walls than in the table
 
     def lookup(
         self, x: npt.ArrayLike, y: npt.ArrayLike
@@ -200,6 +201,8 @@ class DistanceField:
         v -= np.float32(0.5)
         off = np.float32(self.resolution) * (gx * u + gy * v)
         off += rows[..., 0] * np.float32(UNIT)
+        if self.recess:
+            off += np.float32(self.recess)
         return off, gx, gy
 
     @property

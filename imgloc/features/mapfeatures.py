@@ -159,18 +159,25 @@ class MapFeatures(Checked):
 
     @property
     def peels(self) -> bool:
-        """True if :meth:`thinner` walls are worth their memory: not on very large maps."""
+        """True if :meth:`thinner` walls have images of their own: not on very large maps."""
         return self.grid.occupied.size <= PEELED_CELLS
 
     def thinner(self, cells: int) -> "MapFeatures":
         """Features of the same map with walls that lose so many cells on each side.
 
         Lines of one cell stay (:func:`~imgloc.features.distance.peeled`); what was wall is free.
-        They are kept as long as these features. A very large map keeps its walls.
+        They are kept as long as these features. A very large map keeps its images: its surfaces
+        lie so much deeper in them, and lines of a few cells are gone.
         """
-        if cells == 0 or not self.peels:
+        if cells == 0:
             return self
-        if cells not in self._thinner:
+        if cells not in self._thinner and not self.peels:
+            there = replace(self)
+            recessed = replace(self.field, recess=cells * self.grid.resolution)
+            of = ("straight", "standable", "walls", "free")
+            vars(there).update({name: getattr(self, name) for name in of}, field=recessed)
+            self._thinner[cells] = there
+        elif cells not in self._thinner:
             there = self.thinner(cells - 1)
             walls = peeled(there.grid.occupied)
             if not np.array_equal(walls, there.grid.occupied):  # else they are lines by now
@@ -183,10 +190,6 @@ class MapFeatures(Checked):
     @cached_property
     def _thinner(self) -> dict[int, "MapFeatures"]:
         return {}
-
-    def thicker(self, cells: int) -> float:
-        """Metres by which walls that should lose so many cells on each side stay too thick."""
-        return 0.0 if self.peels else cells * self.grid.resolution
 
     def ready(self, thinnest: int = 0) -> "MapFeatures":
         """Compute now what the default method may use, and return these features.
@@ -218,6 +221,7 @@ class MapFeatures(Checked):
         return pyramid(
             self.field.steps, self.grid.free, self.grid.resolution, cell=self.cell,
             sigma=self.sigma_endpoint, levels=3 if coarse <= COARSE_CELLS else 4, unit=UNIT,
+            recess=self.field.recess,
         )  # fmt: skip
 
     @cached_property

@@ -51,6 +51,7 @@ def pyramid(
     sigma: float,
     levels: int,
     unit: float = 1.0,
+    recess: float = 0.0,
 ) -> tuple[Level, ...]:
     """Build the endpoint images, finest first.
 
@@ -69,6 +70,8 @@ def pyramid(
         At least 1.
     unit : float
         Unit of `distance`, metres.
+    recess : float
+        Metres to add to it: the surfaces lie so much deeper in the walls.
 
     Examples
     --------
@@ -80,7 +83,8 @@ def pyramid(
     factor = max(1, round(cell / resolution))
     rows = factor * max(1, _BAND // factor)
     tops = range(0, len(distance), rows)
-    bands = (distance[top : top + rows] * np.float32(unit) for top in tops)
+    more = np.float32(recess)
+    bands = (distance[top : top + rows] * np.float32(unit) + more for top in tops)
     fits = (np.exp(d * d * np.float32(-0.5 / sigma**2)) * np.float32(255) for d in bands)
     sums = (_over_blocks(np.add, fit, factor) for fit in fits)  # beyond the map nothing fits
     image = np.concatenate([np.rint(s / np.float32(factor**2)).astype(np.uint8) for s in sums])

@@ -77,6 +77,7 @@ class Watch:
 
     def __init__(self, features: MapFeatures, options: Options) -> None:
         self.features, self.options = features, options
+        self._walls = features.thinner(options.shared.thinner)
         self.opinion = Opinion()
         self._claim: tuple[float, Pose2D, Pose2D | None] | None = None
         self._against = 0  # looks in a row that are against it
@@ -151,8 +152,8 @@ class Watch:
         if (used := usable(scan, self.options)) is None:
             return None
         view = view_of(used, self.options)
-        at = settled(self.features, view, np.array([[*base]]))
-        return sight(self.features, view, at, self.options)
+        at = settled(self._walls, view, np.array([[*base]]))
+        return sight(self._walls, view, at, self.options)
 
     def _misfit_leapt(
         self, laser: str, seen: Sight | None, stamp: float, held: float
@@ -185,7 +186,7 @@ class Watch:
         if close and (used := usable(scan, self.options)) is not None:
             both = np.array([[*in_grid_frame(pose, self.features.grid)] for pose in (own, claim)])
             view = view_of(used, self.options)
-            mine, other = sight(self.features, view, both, self.options).log_likelihood
+            mine, other = sight(self._walls, view, both, self.options).log_likelihood
             if mine - other < _LEAD:
                 return CANNOT, f"{words}, and the scan fits both", None
         return DISAGREES, words, own

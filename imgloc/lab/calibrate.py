@@ -11,7 +11,7 @@ The map's own errors are not simulated. They are fitted from recorded scans, who
 known: together these scans determine the map's scale and by how much its walls are too thick.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,7 +19,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import evenly, one_per_place
+from imgloc.features.scanpoints import Readings, evenly, one_per_place
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import misfit_near, view_of
 from imgloc.filters.follow import UNCONFIRMED, follow
@@ -35,15 +35,14 @@ from imgloc.model import (
     FloatArray,
     LaserScan,
     Likelihood,
-    Localization,
     OccupancyGrid,
     Pose2D,
 )
 from imgloc.options import LOG_METHODS, Calibration, Options, Sensor, Shared, scale
 from imgloc.pipeline import find_modes, localize
-from imgloc.search.adapt import image_gain, judged, told_by
+from imgloc.search.adapt import GAIN, THINNER, Told, as_seen, image_gain, judged, told_by
 from imgloc.search.faces import any_depth, on_faces
-from imgloc.search.refine import refine
+from imgloc.search.refine import FROM_CELLS, refine
 from imgloc.simulation.scans import simulate
 
 SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
@@ -53,7 +52,8 @@ LEAST = 20
 """Fewest trials, on all maps together, for a fit: a few lucky scans would promise too much."""
 SCANS = 20  #: largest number of scans from which a shared error is fitted
 LEAST_FIT = 5  #: number of these scans that must fit the map at one place
-_STARTS, _MOST_SCALED = (1.0, 0.9, 1.1), 1.06  # where the search for a scale begins; and ends
+STARTS = (1.0, 0.9, 1.1)  #: factors where the search for a scale begins
+_ROUNDS = 4  # how often scans speak for another error
 _BINS = 8192
 _JUMP = 2.0  # metres that odometry jumps between two scans of different runs
 _SURE = 0.05  # share of the scans along a way that must have a unique pose
@@ -223,10 +223,11 @@ def fit_shared(
     """Fit the scale of a map, by how much its walls are too thick, and their depth, from scans.
 
     The poses of the scans need not be known (hard EM). Some evenly picked scans are each placed
-    where they fit best, at any scale near 0.9, 1 or 1.1 and with walls of any thickness. The
-    medians over the ``unique`` ones are then applied to all scans, which are placed again. The
-    median of the scales that remain corrects the result, and their scatter gives its standard
-    error. The depth of the faces is fitted last: :func:`fit_depth`.
+    where they fit best, at one scale of 0.9, 1 or 1.1 for all. From there they speak together for
+    another scale or thinner walls (:func:`~imgloc.search.adapt.judged`), and are placed again,
+    until nothing gains any more. The median of the scales that remain corrects the result, and
+    their scatter gives its standard error. The depth of the faces is fitted last:
+    :func:`fit_depth`.
 
     Parameters
     ----------
@@ -237,7 +238,7 @@ def fit_shared(
     options : Options, optional
         Options of the method ``fused``.
     advance : callable
-        Called after each scan.
+        Called after each scan, for each of :data:`STARTS`.
 
     Raises
     ------
@@ -246,19 +247,30 @@ def fit_shared(
     """
     options = options or Options()
     some = [scans[k] for k in evenly(len(scans), SCANS)]
-    found = []
-    for scan in some:
-        tried = (Shared(start) for start in _STARTS)
-        found.append(min((_bent(features, scan, options, s) for s in tried), key=_misfit))
-        advance()
-    sure = [answer.evidence for answer in found if answer.verdict == "unique"]
-    _enough(len(sure), len(some))
-    # Of a very large map, which keeps its walls, no thickness can be stated.
-    cells = features.peels * np.median([said.thinner for said in sure]) / features.grid.resolution
-    shared = Shared(float(np.median([said.scale for said in sure])), round(float(cells)))
+
+    def settled(shared: Shared) -> tuple[float, Shared]:
+        told = _told(features, some, options, shared)
+        for _ in range(_ROUNDS):
+            if not told or (better := judged(told, shared)) == shared:
+                break
+            told, shared = _told(features, some, options, better), better
+        return _gained(told), replace(shared, straight=False)
+
+    starts = [Shared(start, straight=True) for start in STARTS]
+    gains = [_gained(_told(features, some, options, start, advance)) for start in starts]
+    begin = starts[int(np.argmax(gains))]
+    gained, shared = settled(begin)
+    # Ranges that are too short hide that walls are too thick: from thin walls both are found.
+    more, other = settled(replace(begin, thinner=THINNER))
+    shared = other if more > gained + GAIN else shared
     for _ in range(2):
-        left = [_left(features, scan, options, shared) for scan in some]
-        steps = np.array([step for step in left if step is not None])
+        known = replace(options, shared=shared)
+        steps = np.array(
+            [
+                refine(np.append(at, [[1]], axis=1), seen.xy, there.field, sigmas=FROM_CELLS)[0, 3]
+                for there, seen, at in _placed(features, some, known)
+            ]
+        )
         _enough(len(steps), len(some))
         middle, error = _middle(steps)
         shared = replace(shared, scale=shared.scale * middle)
@@ -296,13 +308,14 @@ def fit_along(
     if not scans or not walls.bent:
         _enough(0, len(scans))
     known, metres = replace(options, shared=walls), 0.0
-    there, misfits = features.thinner(walls.thinner), list[float]()
+    misfits = list[float]()
     for piece in joined:
         robot, before = make_filter("tracker", features, known), 0.0
         for moment in follow(features, piece, robot):
             # Whether it is this building is not asked: whoever calibrates a map says so.
             if moment.pose is not None or moment.withheld == UNCONFIRMED:
-                view = view_of(piece.scans[moment.index], known)
+                there, scan = as_seen(features, piece.scans[moment.index], walls)
+                view = view_of(scan, known)
                 misfits.append(misfit_near(there, view, moment.belief.poses[:1], known))
             metres, before = metres + moment.metres - before, moment.metres
             advance()
@@ -322,14 +335,33 @@ def _joined(log: ScanSet) -> list[ScanSet]:
 
 def _walls(features: MapFeatures, scans: Sequence[LaserScan], options: Options) -> Shared:
     """The walls that some scans speak for together, wherever each of them fits best."""
-    evidence = []
+    evidence = _told(features, scans, options, Shared())
+    return judged(evidence, Shared(), image=image_gain(features)) if evidence else Shared()
+
+
+def _told(
+    features: MapFeatures, scans: Sequence[LaserScan], options: Options, now: Shared,
+    advance: Callable[[], None] = lambda: None,
+) -> list[Told]:  # fmt: skip
+    """Evidence of scans for another error than `now`, wherever each of them fits best."""
+    evidence, options = list[Told](), replace(options, shared=now)
     for scan in scans:
-        if scan.directions >= max(1, options.trust.readings):
-            found = find_modes(features, scan, options)
+        there, seen = as_seen(features, scan, now)
+        if seen.directions >= max(1, options.trust.readings):
+            found = find_modes(there, seen, options)
             places = np.concatenate((found.poses, found.looked))
             if len(places):
-                evidence.append(told_by(features, found.readings, places, Shared(), options))
-    return judged(evidence, Shared(), image=image_gain(features)) if evidence else Shared()
+                evidence.append(told_by(features, found.readings, places, now, options))
+        advance()
+    return evidence
+
+
+def _gained(told: Sequence[Told]) -> float:
+    """Nats per scan with the best scale or thickness of straight walls; -inf without scans."""
+    if not told:
+        return float("-inf")
+    straight = np.mean([one.walls[:, 0] for one in told], axis=0).max()
+    return float(max(straight, np.mean([one.scaled for one in told])))
 
 
 def fit_depth(
@@ -342,20 +374,31 @@ def fit_depth(
     with the scale and the walls in `options`. The result is the median over the ``unique`` scans,
     and its standard error, metres. A ConfigError if they are fewer than :data:`LEAST_FIT`.
     """
-    options = replace(options or Options(), top=1)
-    shared = replace(options.shared, depth=None)
-    there, found = features.thinner(shared.thinner), list[float]()
-    for scan in scans:
-        answer = localize(features, scan, replace(options, shared=shared))
-        if answer.verdict == "unique":
-            pose = in_grid_frame(answer.hypotheses[0], features.grid.info).pose
-            seen = one_per_place(scan.scaled(shared.scale), options.fused.place)
-            seen, at = seen.spread(options.fused.rays), np.array([[pose.x, pose.y, pose.theta]])
-            settled = on_faces(at, seen, there, any_depth())
-            found.append(float(settled.depth[0]))
+    options = options or Options()
+    options = replace(options, shared=replace(options.shared, depth=None))
+    found = [
+        float(on_faces(at, seen.spread(options.fused.rays), there, any_depth()).depth[0])
+        for there, seen, at in _placed(features, scans, options)
+    ]
     _enough(len(found), len(scans))
     middle, error = _middle(np.array(found))
     return middle, error
+
+
+def _placed(
+    features: MapFeatures, scans: Sequence[LaserScan], options: Options
+) -> Iterator[tuple[MapFeatures, Readings, FloatArray]]:
+    """Map, readings and pose (1, 3), grid frame, of each scan at one place.
+
+    No other error is allowed for than that in the options.
+    """
+    options = replace(options, top=1, fused=replace(options.fused, strained=float("inf")))
+    for scan in scans:
+        answer = localize(features, scan, options)
+        if answer.verdict == "unique" and answer.pose is not None:
+            there, near = as_seen(features, scan, options.shared)
+            at = np.array([[*in_grid_frame(answer.pose, features.grid)]])
+            yield there, one_per_place(near, options.fused.place), at
 
 
 def _middle(values: FloatArray) -> tuple[float, float]:
@@ -373,27 +416,3 @@ def _enough(fit: int, asked: int) -> None:
             "say what error they share; are they from here? Scans of a log with odometry need not "
             "fit one by one"
         )
-
-
-def _misfit(answer: Localization) -> float:
-    """Misfit of an answer; inf without a pose."""
-    return float(np.nan_to_num(answer.evidence.misfit, nan=np.inf))
-
-
-def _bent(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> Localization:
-    """Locate a scan, starting with a shared error and looking for a better one."""
-    eager = replace(options.fused, strained=0.0, most_scaled=_MOST_SCALED)
-    return localize(features, scan, replace(options, shared=shared, fused=eager))
-
-
-def _left(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> float | None:
-    """Factor on a given scale with which a scan fits best; None if it fits at no single place."""
-    known = replace(options.fused, strained=float("inf"))
-    answer = localize(features, scan, replace(options, shared=shared, fused=known))
-    if answer.verdict != "unique":
-        return None
-    pose = in_grid_frame(answer.hypotheses[0], features.grid.info).pose
-    seen = one_per_place(scan.scaled(shared.scale), options.fused.place)
-    there = features.thinner(shared.thinner).field
-    begin = np.array([[pose.x, pose.y, pose.theta, 1.0]])
-    return float(refine(begin, seen.xy, there, sigmas=(0.1, 0.05))[0, 3])

@@ -26,7 +26,8 @@ FROM_SCALES: tuple[float, ...] = number("adapt.scales")
 """Factors on the ranges from which the search for a scale starts."""
 THINNER: int = number("adapt.walls")
 """Cells that walls are tried to lose on each side."""
-_GAIN = number("adapt.gain")  # nats per scan that thinner walls, or bent ones, have to gain
+GAIN: float = number("adapt.gain")
+"""Nats per scan that thinner walls, or bent ones, have to gain."""
 # Least distance of a scale that scans show from the one in use: as a logarithm, and in standard
 # errors; nats per scan that it has to gain besides at places of a search.
 _SCALED: tuple[float, float, float] = number("adapt.scaled")
@@ -45,14 +46,8 @@ _PLACES, _READINGS = FusedOptions.closer, number("adapt.readings")  # how many a
 
 
 def as_seen(features: MapFeatures, scan: LaserScan, now: Shared) -> tuple[MapFeatures, LaserScan]:
-    """The map and a scan of it without an error that all readings share.
-
-    Where walls stay too thick, readings end that much nearer instead.
-    """
-    scan = scan.scaled(now.scale)
-    near = np.maximum(scan.ranges - features.thicker(now.thinner), scan.range_min)
-    near = np.where(scan.valid, near, scan.ranges)
-    return features.thinner(now.thinner), replace(scan, ranges=near)
+    """The map and a scan of it without an error that all readings share."""
+    return features.thinner(now.thinner), scan.scaled(now.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +89,10 @@ def told_by(
         each, scale = _pieces(features, thinner, BENT, readings, places, options, things=True)
         return each.sum(axis=1), scale
 
-    for n in range(THINNEST + 1 if features.peels else 1):
+    for n in range(THINNEST + 1):
         walls[n] = told(n, places)[0]
         if n >= max(THINNER, now.thinner) and walls[n, 0] <= walls[n - 1, 0]:
+            walls[n + 1 :] = walls[n]  # asked no further: no veto of those that others gain by
             break
     (scaled, _), scale = told(now.thinner, _scaled(places))
     return Told(walls, float(scaled), scale)
@@ -154,13 +150,13 @@ def judged(
     """
     straight, bent = np.mean([one.walls for one in told], axis=0).T
     n, now_at = int(np.argmax(straight)), min(now.thinner, len(straight) - 1)
-    if straight[n] <= straight[now_at] + _GAIN:
+    if straight[n] <= straight[now_at] + GAIN:
         n = now_at
     scale, more = _scale_of(told, now, given), _SCALED[2]
-    cost = _GAIN + price(replace(now, scale=scale), replace(now, scale=given), 0.0)
+    cost = GAIN + price(replace(now, scale=scale), replace(now, scale=given), 0.0)
     scaled = -np.inf if scale == now.scale else float(np.mean([one.scaled for one in told])) - cost
     best = max(straight[n], scaled)
-    if not now.straight and bent[n] + image / len(told) > best + _GAIN:
+    if not now.straight and bent[n] + image / len(told) > best + GAIN:
         return replace(now, thinner=now.thinner if n == now_at else n, bent=BENT)
     if scaled > straight[n]:
         return replace(now, scale=scale) if placed or scaled > straight[n] + more else now
@@ -293,16 +289,15 @@ def adapt(
     count, readings = len(readings), readings.spread(_READINGS)
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
-        there, near = features.thinner(thinner), features.thicker(thinner - now.thinner)
-        seen = replace(readings, ranges=np.maximum(readings.ranges - near, 0.0))
-        poses = refine(poses, seen.xy, there.field, sigmas=FROM_CELLS)
+        there = features.thinner(thinner)
+        poses = refine(poses, readings.xy, there.field, sigmas=FROM_CELLS)
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
         small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)
         small &= (scale >= SCALES[0]) & (scale <= SCALES[1])
         if not small.any():
             return float("-inf"), now
-        score = score_readings(there, seen, poses[small], options.model)
+        score = score_readings(there, readings, poses[small], options.model)
         k = int(score.argmax())
         return float(score[k]), replace(now, scale=float(scale[small][k]), thinner=thinner)
 

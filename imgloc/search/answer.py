@@ -8,7 +8,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import in_map_frame
 from imgloc.likelihoods.posterior import entropy
 from imgloc.model import LaserScan, Localization
-from imgloc.options import Options
+from imgloc.options import Options, log_share
 from imgloc.search.asked import effective
 from imgloc.search.hypotheses import as_hypotheses
 from imgloc.search.priors import on_lattice
@@ -77,8 +77,8 @@ def log_volume(features: MapFeatures, options: Options) -> float:
     All hypotheses have that of the poses that refinement takes for one. Their covariances are no
     measure of it: a bad fit is a wide one, and would count as many poses that fit.
     """
-    (metres, radians), prior = options.fused.same, options.prior
+    prior, same = options.prior, options.fused.same
     cells = int(np.count_nonzero(on_lattice(prior, features.free, features.factor)))
-    turn = np.pi if prior.heading is None else float(np.clip(prior.heading[1], radians, np.pi))
+    turn = np.pi if prior.heading is None else float(np.clip(prior.heading[1], same[1], np.pi))
     space = max(1, cells) * features.lattice.resolution**2 * 2 * turn
-    return float(np.log(2 * np.pi * metres**2 * radians / space))
+    return log_share(same, space)

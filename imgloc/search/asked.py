@@ -22,8 +22,6 @@ def check_options(features: MapFeatures, options: Options) -> None:
     """
     expect(features, MapFeatures, "features")
     expect(options, Options, "options")
-    if options.shared.thinner and not features.peels:
-        raise ConfigError("`thinner`: the map is too large to make its walls thinner; expected 0")
     if options.time_budget is not None and options.method != FUSED:
         raise ConfigError(f"a time budget is for the method {FUSED}, not for {options.method}")
     prior, weights = options.prior.cells, options.prior.weights

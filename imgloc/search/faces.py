@@ -88,7 +88,7 @@ def faces_met(poses: FloatArray, readings: Readings, features: MapFeatures) -> F
     smooth = slope > _SMOOTH
     nx, ny = (np.where(smooth, g / np.maximum(slope, _SMOOTH), 0.0) for g in (gx, gy))
     facing = -(nx * ux + ny * uy)
-    before = (hit - rho) * facing
+    before = (hit - rho) * facing + field.recess
     # How thick the wall is, from its border inward. Fine maps take no more than 20 steps.
     step = max(cell / 2, DEEPEST / 10)
     inward = (np.arange(np.ceil(2 * DEEPEST / step)) + 0.5)[:, None, None] * step + distance

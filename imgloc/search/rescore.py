@@ -283,7 +283,7 @@ def _shifted(
     """
     both = [readings, readings.silent] if readings.silent else [readings]
     ranges, angles = (np.hstack([getattr(one, of) for one in both]) for of in ("ranges", "angles"))
-    margin = model.margin + features.field.resolution / 2
+    margin = model.margin + features.field.resolution / 2 + features.field.recess
     far = ranges * poses[:, 3:] if poses.shape[1] == 4 else ranges
     reach = np.maximum(far - margin, 1e-3)
     c, s = (turn(poses[:, 2:3]).astype(np.float32) for turn in (np.cos, np.sin))

@@ -2,9 +2,11 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 from places import room_with_two_posts
+from walls import redrawn
 
 from imgloc import ConfigError, GridInfo, Likelihood, OccupancyGrid, Pose2D, likelihood, prepare
 from imgloc.lab import calibrate
@@ -25,6 +27,7 @@ from imgloc.lab.tables import SHARP, shared_words
 from imgloc.likelihoods.posterior import calibrated
 from imgloc.options import METHODS, Calibration, Options, Sensor, Shared
 from imgloc.simulation.scans import simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 ROOM = room_with_two_posts(Pose2D(3.0, -2.0, 0.5))
 
@@ -161,9 +164,23 @@ def test_an_error_that_few_scans_share_in_the_end_is_none(monkeypatch) -> None:
     features, told = prepare(ROOM), simulate(ROOM, 5, 4, Sensor(rays=181, fov=6.2))
     assert fit_shared(features, told.scans).shared.scale == pytest.approx(1, abs=0.01)
     # Each fits at an error of its own, none at that of all.
-    monkeypatch.setattr(calibrate, "_left", lambda *given: None)
+    monkeypatch.setattr(calibrate, "_placed", lambda *given: iter(()))
     with pytest.raises(ConfigError, match="0 of 5 scans fit this map at one place"):
         fit_shared(features, told.scans)
+
+
+@pytest.mark.parametrize("peeled", [0, 10**7])
+def test_scans_together_part_thick_walls_from_a_scale(peeled: int, monkeypatch) -> None:
+    monkeypatch.setattr("imgloc.features.mapfeatures.PEELED_CELLS", peeled)
+    there = render(WORLDS["curved"](), 0.05)
+    scans = simulate(there, 12, 4, Sensor(rays=181, fov=6.2)).scans
+    walls = cv2.dilate(there.occupied.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    drawn = prepare(redrawn(there, walls), ready=False)
+    for factor in (1.0, 1.06):
+        found = fit_shared(drawn, [scan.scaled(factor) for scan in scans])
+        assert found.shared.thinner in (2, 3)
+        assert found.shared.scale * factor == pytest.approx(1, abs=0.01)
+        assert found.used > 8
 
 
 def test_scans_show_how_deep_in_the_walls_the_faces_are() -> None:

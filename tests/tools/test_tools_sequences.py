@@ -154,3 +154,7 @@ def test_old_maps_have_a_row_for_the_true_start_and_one_for_starts_from_anywhere
     assert true.split(" | ")[1:3] == ["true", "1.00"]
     assert anywhere.split(" | ")[1] == "2 from anywhere"
     assert anywhere.split(" | ")[5] == "0 of 0"  # no run is 30 m long
+    monkeypatch.setattr(sys, "argv", ["old_maps", str(old), "--scale", "1.05", "--fit"])
+    assert old_maps.main() == 0
+    _, _, fitted = capsys.readouterr().out.splitlines()
+    assert 1.05 * float(fitted.split(" | ")[3]) == pytest.approx(1, abs=0.02)

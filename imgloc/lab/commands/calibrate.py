@@ -195,7 +195,7 @@ def _with_scans(
     """Fit the error that recorded scans share on one map."""
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
-    from imgloc.lab.calibrate import SCANS, fit_along, fit_shared
+    from imgloc.lab.calibrate import SCANS, STARTS, fit_along, fit_shared
     from imgloc.lab.tables import shared_words
     from imgloc.model import to_json
 
@@ -208,7 +208,8 @@ def _with_scans(
     options = Options(**vars(taken))
     features = desk.features(path, maps, options, scans=some)
     try:
-        with progress("scans", min(SCANS, len(some)), lines=False) as advance:
+        asked = len(STARTS) * min(SCANS, len(some))
+        with progress("scans", asked, lines=False) as advance:
             found = fit_shared(features, some, options, advance=advance)
     except ConfigError:
         if not any(log.odom is not None for log in logs):
