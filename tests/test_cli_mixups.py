@@ -263,7 +263,7 @@ def test_a_folder_without_a_name_is_no_map(scans, tmp_path, monkeypatch, folder)
 
 
 def test_what_was_given_is_not_advised_again(scans: Path) -> None:
-    run = call("localize", "corridor", scans, OFF, "--flipped")
+    run = call("localize", "double_wall", scans, OFF, "--flipped")
     assert "--flipped" not in run.err
     run = call("localize", "curved", scans, OFF, "--flipped")
     assert hint_of(run).endswith("Leave out --flipped")
