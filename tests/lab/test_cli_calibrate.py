@@ -78,7 +78,9 @@ def test_what_is_fitted_is_used(calibrated: Path) -> None:
 
 def test_the_same_seed_the_same_bytes_for_every_number_of_threads(office, quick) -> None:
     call("calibrate", office, *QUICK[:-1], 2).ends(0)
-    assert office.with_name("curved.calibration.json").read_bytes() == quick.read_bytes()
+    files = office.with_name(quick.name), quick
+    one, other = (path.read_text().replace(path.parent.name, "folder") for path in files)
+    assert one == other
 
 
 def test_a_dry_run_stores_nothing() -> None:
