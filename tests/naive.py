@@ -13,6 +13,14 @@ import math
 
 import numpy as np
 
+from imgloc import OrientedPoints
+
+
+def oriented(xy, alpha, valid=None):
+    n = len(xy)
+    valid = np.ones(n, dtype=bool) if valid is None else valid
+    return OrientedPoints(xy, alpha, np.full(n, 0.1), valid)
+
 
 def oplus(p, x, y, theta):
     """``p ⊕ (x, y, theta)``: a rotation of theta followed by a translation (x, y)."""

@@ -298,7 +298,7 @@ def test_emit_survives_without_a_stdout(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_demo_runs_twice_in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    first, second = spawn("demo", cwd=tmp_path), call("demo")
+    first, second = call("demo"), call("demo")
     assert (first.code, second.code) == (0, 0)
     assert "map double_wall, seed 0: unique" in first.out
     error = next(line for line in first.out.splitlines() if "error" in line).split()

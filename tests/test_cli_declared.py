@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import pytest
 import typer
-from command import MAPS, ROOT, call, params_of, parsed, rows, tree
+from command import MAPS, ROOT, Run, call, params_of, parsed, rows, tree
 
 from imgloc.cli import app
 from imgloc.cli.command import GONE, Only, Without, command, value_of
@@ -39,6 +39,14 @@ def flags(one: Any) -> list[str]:
     return [name for param in params_of(one) for name in (*param.opts, *param.secondary_opts)]
 
 
+# Runs imgloc with each of these words, in one process; then it is refused a value.
+ELSEWHERE = """
+import json, sys, command, imgloc
+print(json.dumps([command.call(*words) for words in json.loads(sys.argv[1])]))
+imgloc.Options(naps=10)
+"""
+
+
 def test_an_option_that_is_added_in_one_place_is_everywhere(tmp_path: Path) -> None:
     for folder in ("imgloc", "maps"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pyc*"))
@@ -49,27 +57,21 @@ def test_an_option_that_is_added_in_one_place_is_everywhere(tmp_path: Path) -> N
     new = '    naps: Annotated[int, Within(0, 9, "naps")] = option(3, "Naps before each, naps.")\n'
     file.write_text(code.replace(before, new + before), "utf-8")
 
-    def run(*words: object) -> subprocess.CompletedProcess[str]:
-        line = [sys.executable, *map(str, words)]
-        return subprocess.run(
-            line, cwd=tmp_path, capture_output=True, text=True, check=False,
-            env={**os.environ, "PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)},
-        )  # fmt: skip
-
-    text = " ".join(run("-m", "imgloc", "localize", "--help").stdout.split())
-    assert "--naps N Naps before each, naps. [0 to 9; default: 3]" in text
-    scans = tmp_path / "s.npz"
-    assert run("-m", "imgloc", "simulate", "curved", "-n", 1, "--out", scans).returncode == 0
-    words = ("-m", "imgloc", "localize", "curved", scans, "--json")
-    assert json.loads(run(*words).stdout)["parameters"]["naps"] == 3
-    assert json.loads(run(*words, "--naps", 9).stdout)["parameters"]["naps"] == 9
-    wrong = run(*words, "--naps", 10)
-    assert wrong.returncode == 2
-    assert wrong.stderr == (
-        "imgloc: error: --naps: got 10, expected a whole number, naps, 0 to 9\n"
-    )
-    wrong = run("-c", "import imgloc; imgloc.Options(naps=10)")
-    assert "Options.naps: got 10, expected a whole number, naps, 0 to 9" in wrong.stderr
+    localize = ["localize", "curved", "s.npz", "--json"]
+    words = [["localize", "--help"], ["simulate", "curved", "-n", "1", "--out", "s.npz"], localize,
+             [*localize, "--naps", "9"], [*localize, "--naps", "10"]]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE, json.dumps(words)],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT / "tests"))),
+             "XDG_CACHE_HOME": str(tmp_path)},
+    )  # fmt: skip
+    text, _, three, nine, ten = (Run(*each) for each in json.loads(done.stdout))
+    assert "--naps N Naps before each, naps. [0 to 9; default: 3]" in " ".join(text.out.split())
+    assert [json.loads(run.out)["parameters"]["naps"] for run in (three, nine)] == [3, 9]
+    said = "got 10, expected a whole number, naps, 0 to 9\n"
+    assert (ten.code, ten.err) == (2, f"imgloc: error: --naps: {said}")
+    assert f"Options.naps: {said}" in done.stderr
 
 
 @pytest.mark.parametrize("words", COMMANDS)

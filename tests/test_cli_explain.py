@@ -2,11 +2,8 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command import MAPS, call, simulating
-
-from imgloc import LaserScan, ScanSet, save_scans
 
 CURVED = MAPS / "curved.yaml"
 
@@ -49,17 +46,6 @@ def test_bad_names_are_refused_at_once(name, code, expected, scans, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_same_page_for_any_number_of_threads(scans: Path, tmp_path: Path) -> None:
-    pages = []
-    for n in (1, 2):
-        out = tmp_path / f"{n}.html"
-        run = call("localize", CURVED, scans, "--scans-index", 0, "--explain", out, "--threads", n)
-        assert run.code == 0
-        lines = out.read_text(encoding="utf-8").splitlines()
-        pages.append([line for line in lines if "Time: localize" not in line])
-    assert pages[0] == pages[1]
-
-
 def test_the_mounting_and_the_prior_are_on_the_page(scans: Path, tmp_path: Path) -> None:
     out = tmp_path / "why.html"
     words = ["--scans-index", 0, "--sensor", "0.2,0,0", "--clearance", 0.1, "--explain", out]
@@ -68,14 +54,6 @@ def test_the_mounting_and_the_prior_are_on_the_page(scans: Path, tmp_path: Path)
     assert "Pose of the robot" in page
     assert "Known beforehand" in page
     assert "clearance" in page
-
-
-def test_an_invalid_scan_has_a_page_too(tmp_path: Path) -> None:
-    path, out = tmp_path / "blind.npz", tmp_path / "why.html"
-    blind = LaserScan(np.full(20, np.nan), np.linspace(-1, 1, 20), range_max=10.0)
-    save_scans(path, ScanSet((blind,)))
-    call("localize", CURVED, path, "--explain", out, "--strict").ends(6)
-    assert "0 of its 20 readings are valid" in out.read_text(encoding="utf-8")
 
 
 def test_a_real_scan_on_a_real_map(shared: Path, tmp_path: Path) -> None:

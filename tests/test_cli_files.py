@@ -64,14 +64,6 @@ def test_a_bundled_map_survives_the_demo(monkeypatch: pytest.MonkeyPatch) -> Non
     run.ends(1, "is read by this command")
 
 
-def test_another_file_may_be_replaced(office: Path) -> None:
-    (office / "old.png").write_text("old")
-    words = ("map", "show", office / "curved.yaml", "--out", office / "old.png")
-    assert call(*words).code == 1
-    assert call(*words, "--force").code == 0
-    assert (office / "old.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_targets(tmp_path: Path) -> None:
     (tmp_path / "a.png").touch()
     (tmp_path / "b.png").hardlink_to(tmp_path / "a.png")

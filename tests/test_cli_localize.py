@@ -1,5 +1,6 @@
 """`imgloc simulate` and `imgloc localize`, from file to file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from command import MAPS, call, rows, simulating, spawn, untimed
 import imgloc
 from imgloc import ALL_METHODS, ScanSet, load_map, load_scans, save_map, save_scans
 from imgloc.geometry import transform_poses
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
+from imgloc.model import LaserScan, Pose2D
 
 CURVED = MAPS / "curved.yaml"
 KEYS = [
@@ -26,8 +27,9 @@ KEYS = [
     "entropy",
     "explained",
     "counts",
+    "timings_ms",
+    "parameters",
 ]
-KEYS += ["timings_ms", "parameters"]
 
 
 scans = simulating(CURVED, "-n", 3, "--dropped", 0.1)
@@ -120,11 +122,7 @@ def test_the_same_bytes_for_every_run_and_number_of_threads(scans: Path) -> None
 @pytest.mark.parametrize("method", ALL_METHODS)
 def test_every_method_answers(method: str, scans: Path) -> None:
     words = ["localize", CURVED, scans, "--json", "--method", method, "--scans-index", 1]
-    words += ["--theta-step-deg", 10, "--cell", 0.2]
-    one, two = call(*words, "--threads", 1), call(*words, "--threads", 2)
-    assert one.code == 0
-    assert untimed(one.out) == untimed(two.out)
-    (answer,) = rows(one.out)
+    (answer,) = rows(call(*words, "--theta-step-deg", 10, "--cell", 0.2).ends(0).out)
     assert answer["index"] == 1
     parameters = answer["parameters"]
     assert parameters["method"] == method
@@ -134,20 +132,12 @@ def test_every_method_answers(method: str, scans: Path) -> None:
 
 
 def test_origin_with_a_yaw_moves_every_pose(scans: Path, tmp_path: Path) -> None:
-    origin = Pose2D(3.0, -2.0, 0.7)
-    grid = load_map(CURVED)
-    turned = tmp_path / "turned.yaml"
-    save_map(turned, OccupancyGrid(grid.occupied, grid.free, grid.resolution, origin))
-    plain = rows(call("localize", CURVED, scans, "--json").out)
+    origin, turned = Pose2D(3.0, -2.0, 0.7), tmp_path / "turned.yaml"
+    save_map(turned, replace(load_map(CURVED), origin=origin))
     by_yaml = rows(call("localize", turned, scans, "--json").out)
     by_option = rows(call("localize", CURVED, scans, "--json", "--origin", "3,-2,0.7").out)
-    for a, b, c in zip(plain, by_yaml, by_option, strict=True):
-        for h, moved in zip(a["hypotheses"], b["hypotheses"], strict=True):
-            expected = compose(origin, Pose2D(h["x"], h["y"], h["theta"]))
-            got = [moved[k] for k in ("x", "y", "theta")]
-            np.testing.assert_allclose(got, [expected.x, expected.y, expected.theta], atol=1e-9)
-            assert moved["covariance"] != h["covariance"]
-        assert b["hypotheses"] == c["hypotheses"]
+    for a, b in zip(by_yaml, by_option, strict=True):
+        assert a["hypotheses"] == b["hypotheses"]
     # Simulated poses are of the map frame too.
     for path, name in ((CURVED, "a"), (turned, "b")):
         assert call("simulate", path, "-n", 2, "--out", tmp_path / f"{name}.npz").code == 0
@@ -211,17 +201,6 @@ def test_strict_exits_with_6_after_all_answers(tmp_path: Path) -> None:
     text = call("localize", CURVED, path, "--scans-index", 0, "--picture", tmp_path / "p.png")
     assert text.out.startswith("scan 0: invalid\n  readings   0 valid")
     assert (tmp_path / "p.png").exists()
-
-
-def test_range_max_cuts_readings_to_no_return(scans: Path) -> None:
-    (row,) = rows(
-        call("localize", CURVED, scans, "--scans-index", 0, "--json", "--range-max", "2.5").out
-    )
-    ranges = load_scans(scans)[0].ranges
-    beyond = int(np.count_nonzero(ranges >= 2.5))  # NaN is not
-    assert beyond > 0
-    assert row["counts"]["no_return"] == beyond
-    assert row["parameters"]["range_max"] == 2.5
 
 
 def test_a_scan_without_a_limit_has_no_infinity_in_json(tmp_path: Path, scans: Path) -> None:

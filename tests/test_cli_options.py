@@ -174,12 +174,6 @@ def test_the_mounting_is_recorded(scans: Path, plain: dict) -> None:
     assert parameters["flipped"] is True
 
 
-def test_masses_and_what_is_elsewhere_sum_to_one(scans: Path) -> None:
-    row = first(scans, "--top", 100)
-    assert 0 < row["elsewhere"] < 0.5
-    assert row["elsewhere"] + sum(h["mass"] for h in row["hypotheses"]) == pytest.approx(1)
-
-
 def test_flipped_undoes_a_sensor_upside_down(scans: Path, plain: dict, tmp_path: Path) -> None:
     data = dict(np.load(scans))
     data["angles"] = -data["angles"]
@@ -190,12 +184,12 @@ def test_flipped_undoes_a_sensor_upside_down(scans: Path, plain: dict, tmp_path:
 
 def test_scans_that_fit_if_mirrored_bring_a_hint(tmp_path: Path) -> None:
     upright, hanging = tmp_path / "upright.npz", tmp_path / "hanging.npz"
-    assert call("simulate", "large", "-n", 3, "--seed", 1, "--out", upright).code == 0
+    assert call("simulate", "curved", "-n", 2, "--seed", 1, "--out", upright).code == 0
     data = dict(np.load(upright))
     np.savez(hanging, **data | {"angles": -data["angles"]})
 
     def hints(*words: object) -> str:
-        code, _, err = call("localize", "large", *words)
+        code, _, err = call("localize", "curved", *words)
         assert code == 0
         return " ".join(err.split())
 
@@ -245,13 +239,6 @@ def test_the_second_run_starts_from_the_cache(scans: Path, tmp_path: Path) -> No
     assert "kept" not in two.err
     assert entry.stat().st_ino == before  # used, not written anew
     assert untimed(call("localize", WORLD, scans, "--json", "--no-cache").out) == untimed(one.out)
-
-
-def test_a_cache_that_cannot_be_written_costs_nothing(scans: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    run = call("localize", WORLD, scans, "--scans-index", 0, "--json", "--cache", tmp_path / "file")
-    assert run.code == 0
-    assert len(rows(run.out)) == 1
 
 
 @pytest.mark.parametrize("text", ["", "-1", "M", "1e3", "2 GX"])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 from places import drive
+from walls import thick_in
 
 from imgloc import LaserScan, ScanSet, Shared, load_map, load_scans, save_scans
 from imgloc.filters.choose import FILTERS
@@ -58,8 +59,10 @@ def test_a_row_for_each_scan_with_the_promised_keys(tracked: tuple[Path, str, st
     assert "x real time" in tracked[2]
 
 
-def test_walls_that_are_allowed_for_are_told(log: Path) -> None:
-    run = call("track", MAP, log, "--json", "--thinner", "0.1", "--bent", "0.15").ends(0)
+def test_walls_that_are_allowed_for_are_told(log: Path, tmp_path: Path) -> None:
+    save_scans(tmp_path / "two.npz", load_scans(log).take([0, 1]))
+    words = ("--json", "--thinner", "0.1", "--bent", "0.15")
+    run = call("track", MAP, tmp_path / "two.npz", *words).ends(0)
     told = {(row["scale"], row["thinner"], row["bent"]) for row in rows(run.out)}
     assert told == {(1.0, 0.1, 0.15)}
     assert "walls 0.10 m thinner on each side and pieces of wall 0.15 m off" in run.err
@@ -223,12 +226,12 @@ def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried
     return folder / "dark.npz"
 
 
-@pytest.mark.parametrize("carried", [False, True], ids=["drives", "is carried"])
 @pytest.mark.parametrize(
-    "ranges",
-    [lambda _: np.nan, lambda r: np.linspace(0.09, 0.11, len(r)), lambda last: last],
-    ids=["nan", "covered", "frozen"],
-)
+    ("ranges", "carried"),
+    [(lambda _: np.nan, False), (lambda r: np.linspace(0.09, 0.11, len(r)), True),
+     (lambda last: last, False), (lambda last: last, True)],
+    ids=["nan", "covered, carried", "frozen", "frozen, carried"],
+)  # fmt: skip
 def test_a_blind_robot_gives_no_pose(tmp_path, ranges, carried):
     path = in_the_dark(tmp_path, ranges, carried=carried)
     run = call("track", MAP, path, "--json", "--tum", tmp_path / "a.tum").ends(0)
@@ -358,13 +361,9 @@ def test_a_true_trajectory_is_read_first_and_never_overwritten(tmp_path: Path, l
     assert "no stamp is within 0.01 s of a scan" in run.err
 
 
-def test_a_filter_that_is_never_sure_on_a_map_says_so(shared: Path, tmp_path: Path) -> None:
-    log = np.load(shared / "data/wean/scans.npz")
-    some = {k: log[k][:1] for k in ("ranges", "poses", "odom", "stamps")}
-    bounds = {k: log[k] for k in ("angles", "range_min", "range_max")}
-    np.savez(tmp_path / "log.npz", **some, **bounds)
-    plan = shared / "data/wean/map.yaml"
+def test_a_filter_that_is_never_sure_on_a_map_says_so(tmp_path: Path) -> None:
+    files = thick_in(tmp_path, 1) / "map.yaml", tmp_path / "log.npz"
     told = "the walls of this map are drawn 0.5 m thick, so no pose of --filter particle is unique"
     for options, warned in ((), True), (("--bent", "0.1"), False):
-        run = call("track", plan, tmp_path / "log.npz", "--filter", "particle", *options).ends(0)
+        run = call("track", *files, "--filter", "particle", *options).ends(0)
         assert (told in run.err) == warned

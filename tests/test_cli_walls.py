@@ -50,7 +50,7 @@ def test_localize_and_track_say_that_a_map_has_aged(tmp_path: Path) -> None:
     before = GRID.occupied.copy()
     for row, column in ((30, 80), (60, 120), (110, 60), (100, 150)):
         before[row : row + 8, column : column + 8] = True  # boxes that are gone
-    files = drawn(tmp_path, before) / "map.yaml", tmp_path / "log.npz"
+    files = drawn(tmp_path, before, 16) / "map.yaml", tmp_path / "log.npz"
     said = r"scans at sure poses pass (\d+)% of the walls in view"
     for command in ("localize", "track"):
         run = call(command, *files).ends(0)
@@ -60,7 +60,7 @@ def test_localize_and_track_say_that_a_map_has_aged(tmp_path: Path) -> None:
 
 
 def test_a_wrong_resolution_and_a_wrong_unit_of_ranges_are_told_apart(tmp_path: Path) -> None:
-    yaml, log = drawn(tmp_path, GRID.occupied) / "map.yaml", tmp_path / "log.npz"
+    yaml, log = drawn(tmp_path, GRID.occupied, 8) / "map.yaml", tmp_path / "log.npz"
     text, scans = yaml.read_text(), load_scans(log)
     yaml.write_text(re.sub("resolution: .*", "resolution: 0.2", text))
     said = "the cells of the map are of 0.1 m. Try --resolution 0.1\n"
@@ -76,7 +76,7 @@ def test_a_wrong_resolution_and_a_wrong_unit_of_ranges_are_told_apart(tmp_path: 
 def test_a_similar_building_is_another_place(tmp_path: Path) -> None:
     walls, half = GRID.occupied.copy(), GRID.occupied.shape[1] // 2
     walls[8:-8, half:-8] = walls[8:-8, half:-8][:, ::-1]  # the outer walls, and one half, stand
-    files = drawn(tmp_path, walls, 24) / "map.yaml", tmp_path / "log.npz"
+    files = drawn(tmp_path, walls, 16) / "map.yaml", tmp_path / "log.npz"
     for command in ("inspect", "track"):
         run = call(command, *files)
         assert "of the walls in view: this map is of another place" in run.out + run.err
@@ -84,7 +84,7 @@ def test_a_similar_building_is_another_place(tmp_path: Path) -> None:
 
 
 def test_a_mirrored_map_sends_nobody_in_a_circle(tmp_path: Path) -> None:
-    files = drawn(tmp_path, np.fliplr(GRID.occupied), 48) / "map.yaml", tmp_path / "log.npz"
+    files = drawn(tmp_path, np.fliplr(GRID.occupied), 24) / "map.yaml", tmp_path / "log.npz"
     run = call("inspect", *files)
     assert "the image of the map is mirrored. Mirror it, left to right" in run.out
     assert "--flipped" not in run.out

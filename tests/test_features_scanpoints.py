@@ -35,12 +35,6 @@ def degrees_off(alpha, truth):
     return np.abs(np.rad2deg(wrap(alpha - truth)))
 
 
-def test_cartesian_points_as_in_fig_3():
-    angles = np.array([0.0, np.pi / 2, np.pi])
-    points = scan_points(np.array([1.0, 2.0, 3.0]), angles, every(angles))
-    np.testing.assert_allclose(points.xy, [[1, 0], [0, 2], [-3, 0]], atol=1e-12)
-
-
 @pytest.mark.parametrize("direction_deg", [0, 45, 90, 135, 180, -120])
 def test_the_normal_of_a_wall_points_back_at_the_sensor(direction_deg):
     direction = np.deg2rad(direction_deg)

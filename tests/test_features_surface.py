@@ -180,16 +180,6 @@ def test_outlines_are_those_of_marching_squares(seed):
     )
 
 
-def test_corners_hold_together():
-    _, size = outlines(np.eye(3, dtype=bool))
-    assert size.tolist() == [13]  # twelve sides of cells, and back
-
-
-def test_the_wall_is_on_the_right_of_its_outline():
-    x, y = (outlines(np.array([[True]]))[0] - 0.5).T
-    assert (x[:-1] * y[1:] - x[1:] * y[:-1] < 0).all()  # clockwise around a wall
-
-
 @pytest.mark.parametrize("shape", [(0, 4), (3, 0), (2, 3)])
 def test_nothing_has_no_outline(shape):
     vertices, size = outlines(np.zeros(shape, bool))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from badfiles import YAML, chunk, encode, png, room, yaml_with
+from badfiles import chunk, encode, png, room, yaml_with
 
 from imgloc import ConfigError, MapError, OccupancyGrid, OutputError, Pose2D, check_map
 from imgloc.io.maps import load_map, require_usable, save_map
@@ -180,13 +180,6 @@ def test_options_out_of_range_are_the_callers_fault(write, options) -> None:
         load_map(write(row(0, 254)), **options)
 
 
-def test_lossy_maps_on_request(write) -> None:
-    path = write(encode(".jpg", np.full((16, 16), 254, np.uint8)))
-    with pytest.raises(MapError, match="JPEG"):
-        load_map(path)
-    assert load_map(path, allow_lossy=True).free.all()
-
-
 def test_a_map_without_walls_loads_but_is_not_usable(write) -> None:
     grid = load_map(write(row(254, 254, 205)))
     with pytest.raises(MapError, match="hall: none of its 3 cells is occupied"):
@@ -335,9 +328,3 @@ def test_real_map_as_pgm_and_png(shared: Path) -> None:
     b = load_map(shared / "problem" / "mapA.pgm", resolution=0.1)
     np.testing.assert_array_equal(a.occupied, b.occupied)
     np.testing.assert_array_equal(a.free, b.free)
-
-
-def test_yaml_constant_is_the_good_map(tmp_path: Path) -> None:
-    (tmp_path / "good.png").write_bytes(encode(".png", room()))
-    (tmp_path / "good.yaml").write_text(YAML)
-    require_usable(load_map(tmp_path / "good.yaml"), "good")

@@ -3,8 +3,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from naive import oriented
 
-from imgloc import ConfigError, OrientedPoints
+from imgloc import ConfigError
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.correlate import EXACT
@@ -12,12 +13,6 @@ from imgloc.likelihoods.correlate import EXACT
 seeds = st.integers(0, 2**32 - 1)
 every_engine = pytest.mark.parametrize("engine", EXACT)
 ONE = np.zeros(1)
-
-
-def oriented(xy, alpha, valid=None):
-    n = len(xy)
-    valid = np.ones(n, dtype=bool) if valid is None else valid
-    return OrientedPoints(xy, alpha, np.full(n, 0.1), valid)
 
 
 def random_field(rng, shape):

@@ -3,18 +3,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from naive import oriented
 
 from imgloc import ConfigError, OrientedPoints
 from imgloc.likelihoods.ght import BLOCK_COLUMNS, BLOCK_PAIRS, ght, ght_v
 
 seeds = st.integers(0, 2**32 - 1)
 N_PSI = 24
-
-
-def oriented(xy, alpha, valid=None):
-    n = len(xy)
-    valid = np.ones(n, dtype=bool) if valid is None else valid
-    return OrientedPoints(xy, alpha, np.full(n, 0.1), valid)
 
 
 def random_points(rng, n, low, high, lost=0.2):

@@ -96,12 +96,6 @@ def test_a_page_is_one_file(folder: Path) -> None:
     assert "exists already" in again.err
 
 
-def test_what_is_no_folder_of_results_is_an_error(tmp_path: Path) -> None:
-    for command in ("report", "export"):
-        call(command, tmp_path).ends(2, "expected a folder of results of 'imgloc batch'")
-        assert not list(tmp_path.iterdir())
-
-
 def test_a_batch_without_any_answer_has_a_page(tmp_path: Path) -> None:
     failed = [row(k, "attic", [], "failed", code="scan", message="it is empty") for k in range(2)]
     write(tmp_path, "localize", failed)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from places import ANGLES, answer_of, error, features_of, grid_of, hall, room_with_a_post, scan_of
 
 from imgloc import ConfigError, MapError, MapFeatures, likelihood, load_map, load_scans, simulate
-from imgloc.geometry import in_map_frame, rotate_covariance, wrap
+from imgloc.geometry import rotate_covariance, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse, to_json
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import localize, localize_many, prepare
@@ -128,16 +128,6 @@ def test_a_covariance_long_along_the_corridor_stays_so_in_the_map_frame():
     assert min(abs(back.y - 1.4), abs(back.y - (3.0 - 1.4))) < 0.05
 
 
-def test_a_hypothesis_goes_to_the_map_frame_as_a_whole():
-    h = answer_of("curved", "fused").hypotheses[0]
-    grid = dataclasses.replace(grid_of("curved").info, origin=Pose2D(1, 2, np.pi / 2))
-    moved = in_map_frame(h, grid)
-    assert (moved.pose.x, moved.pose.y) == pytest.approx((1 - h.pose.y, 2 + h.pose.x))
-    assert moved.covariance[0, 0] == pytest.approx(h.covariance[1, 1])
-    assert moved.covariance[0, 2] == pytest.approx(-h.covariance[1, 2])
-    assert (moved.mass, moved.log_likelihood) == (h.mass, h.log_likelihood)
-
-
 # --- errors
 
 
@@ -151,15 +141,10 @@ def test_a_map_without_walls_or_floor_is_refused_by_its_name(missing):
         prepare(grid, "floor 3")
 
 
-@pytest.mark.parametrize("method", ["CBML", "", "ght_v", "fused "])
-def test_an_unknown_method_is_refused_with_those_that_are(method):
-    with pytest.raises(ConfigError, match=r"fused, cbml, cbml-o, ght, ght-v, beam"):
-        localize(features_of("curved"), scan_of("curved"), Options(method=method))
-
-
 def test_fused_has_no_stack():
-    with pytest.raises(ConfigError, match="method"):
-        likelihood(features_of("curved"), scan_of("curved"), Options())
+    for asked in (Options(), "fused"):
+        with pytest.raises(ConfigError, match="method"):
+            likelihood(features_of("curved"), scan_of("curved"), asked)
 
 
 @pytest.mark.parametrize("method", ALL_METHODS)

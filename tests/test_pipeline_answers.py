@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import ANGLES, POSES, answer_of, facts, features_of, grid_of, scan_of
+from places import ANGLES, POSES, answer_of, facts, features_of, scan_of
 
 from imgloc import ConfigError, explain, likelihood, localize, prepare, sample_poses, simulate
 from imgloc.geometry import uniform_thetas
@@ -59,6 +59,17 @@ def test_a_heading_known_better_than_the_step_leaves_the_nearest_one(method):
 # --- neighbours of a peak
 
 
+HOT = Calibration(temperature=1 / 2)
+
+
+def _bare():
+    """Features of 40 x 60 cells with one wall, and a scan."""
+    wall = np.zeros((40, 60), bool)
+    wall[0] = True
+    scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
+    return prepare(OccupancyGrid(wall, ~wall, 0.1)), scan
+
+
 def _stack_of(*peaks):
     """A stack of 36 headings over 40 x 60 free cells of 0.1 m with some values in it."""
     values = np.zeros((36, 40, 60), np.float32)
@@ -68,11 +79,7 @@ def _stack_of(*peaks):
 
 
 def test_the_mass_of_a_neighbouring_peak_goes_to_its_owner():
-    wall = np.zeros((40, 60), bool)
-    wall[0] = True
-    features = prepare(OccupancyGrid(wall, ~wall, 0.1))
-    options = Options("cbml", calibration=Calibration(temperature=1 / 2))
-    scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
+    (features, scan), options = _bare(), Options("cbml", calibration=HOT)
     stack = _stack_of((5, 20, 20, 5), (5, 20, 24, 4), (20, 10, 50, 3))
     found = localize(features, scan, options, stack=stack)
     p = posterior_of(features, scan, stack, options).astype(float)
@@ -89,11 +96,7 @@ def test_the_mass_of_a_neighbouring_peak_goes_to_its_owner():
 
 
 def test_the_log_likelihood_of_a_stack_is_relative_to_no_idea():
-    wall = np.zeros((40, 60), bool)
-    wall[0] = True
-    features = prepare(OccupancyGrid(wall, ~wall, 0.1))
-    options = Options("cbml", calibration=Calibration(temperature=1 / 2))
-    scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
+    (features, scan), options = _bare(), Options("cbml", calibration=HOT)
     stack = _stack_of((5, 20, 20, 5), (20, 10, 50, 3))
     best, second = localize(features, scan, options, stack=stack).hypotheses
     # 39 rows of 60 free cells, 36 headings: a pose is that often likelier than one among all.
@@ -147,35 +150,12 @@ def test_the_mounting_travels_with_the_answer():
     assert localize(features_of("curved"), scan).T_base_laser == mount
 
 
-def test_arguments_of_another_kind_are_named():
-    features, scan, grid = features_of("curved"), scan_of("curved"), grid_of("curved")
-    for call, says in (
-        (
-            lambda: localize(grid, scan),
-            r"features must be MapFeatures, got OccupancyGrid .*prepare",
-        ),
-        (lambda: localize(features, scan, "ght-v"), r"options must be Options, got str 'ght-v'"),
-        (lambda: localize(features, grid), r"scan must be LaserScan, got OccupancyGrid"),
-        (lambda: localize("map.png", scan), r"features must be MapFeatures, got str 'map.png'"),
-        (lambda: prepare("map.png"), r"grid must be OccupancyGrid, got str .*load_map"),
-        (lambda: likelihood(grid, scan, "cbml"), r"features must be MapFeatures"),
-    ):
-        with pytest.raises(TypeError, match=says):
-            call()
-    assert likelihood(features, scan, "ght-v").method == "ght-v"
-    with pytest.raises(ConfigError, match="method must be one of"):
-        likelihood(features, scan, "fused")
-
-
 def test_neighbouring_headings_are_joined_across_the_cut():
-    wall = np.zeros((40, 60), bool)
-    wall[0] = True
-    scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
+    features, scan = _bare()
     # Headings of 180 and 187.2 degrees: the cut of the circle lies between them.
     values = np.zeros((50, 40, 60), np.float32)
     values[25, 20, 20], values[26, 20, 23] = 5, 4
     stack = Likelihood(values, uniform_thetas(2 * np.pi / 50), GridInfo(40, 60, 0.1), "cbml")
-    features = prepare(OccupancyGrid(wall, ~wall, 0.1))
     (only,) = localize(features, scan, Options("cbml"), stack=stack).hypotheses
     assert only.covariance[2, 2] < np.deg2rad(8) ** 2
 

@@ -66,6 +66,15 @@ def room(tmp_path_factory):
 @pytest.mark.parametrize(
     ("call", "says"),
     [
+        (lambda f, scan: imgloc.localize(f.grid, scan), r"features must be MapFeatures, .*prepare"),
+        (
+            lambda _, scan: imgloc.localize("map.png", scan),
+            "features must be MapFeatures, got str",
+        ),
+        (lambda f, scan: imgloc.localize(f, scan, "ght-v"), "options must be Options, got str 'gh"),
+        (lambda f, _: imgloc.localize(f, f.grid), "scan must be LaserScan, got OccupancyGrid"),
+        (lambda *_: imgloc.prepare("map.png"), r"grid must be OccupancyGrid, got str .*load_map"),
+        (lambda f, scan: imgloc.likelihood(f.grid, scan, "cbml"), "features must be MapFeatures"),
         (lambda f, scan: imgloc.explain(f, scan, "unique"), "answer must be Localization"),
         (lambda f, scan: imgloc.explain(f.grid, scan, None), "features must be MapFeatures"),
         (lambda f, scan: imgloc.evaluate(f, [scan], Options()), "scans must be ScanSet, got list"),

@@ -48,7 +48,7 @@ def test_logs_that_misled_give_right_poses(cases, bag, truth, words, taken) -> N
     assert rows(said.out)[0]["recording"]["odometry"] == taken
     if words:
         assert "--topic picks one of /tb3_0/scan,/tb3_1/scan" in call("inspect", cases / bag).out
-    done = call("track", "large", cases / bag, "--json", "--no-cache", *words).ends(0)
+    done = call("track", "large", cases / bag, "--json", *words).ends(0)
     true = np.loadtxt(cases / truth)
     found = [row for row in rows(done.out) if row["pose"] is not None]
     assert len(found) > 30

@@ -192,13 +192,6 @@ def test_a_scale_moves_by_two_percent_a_step():
     assert [once[0, 3], twice[0, 3]] == pytest.approx([1.02, 1.04])
 
 
-def test_refining_finds_a_scale():
-    for scan, pose in zip(world()[1].scans[:3], world()[1].poses, strict=False):
-        xy = 0.96 * one_per_place(scan, 0.07).xy
-        found = refine(np.array([[*pose, 1.0]]), xy, features().field, sigmas=(0.3, 0.1, 0.05))
-        assert found[0, 3] * 0.96 == pytest.approx(1, abs=0.01)
-
-
 @pytest.mark.parametrize("factor", [0.95, 1.05])
 def test_ranges_of_another_scale_are_placed(factor):
     for scan, pose in zip(world()[1].scans, world()[1].poses, strict=True):

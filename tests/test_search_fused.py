@@ -151,21 +151,6 @@ def test_what_is_returned(name):
         assert not ((gap < distance) & (turn < angle)).any()
 
 
-@given(seeds, st.integers(2, 4))
-@settings(max_examples=2)
-def test_threads_and_repetition_change_nothing(seed, threads):
-    scan = scan_at(poses_of(seed)[0])
-    first = find_modes(features_of(), scan, Options())
-    for found in (
-        find_modes(features_of(), scan, Options(threads=threads)),
-        find_modes(MapFeatures(world()), scan, Options()),
-    ):
-        np.testing.assert_array_equal(found.poses, first.poses)
-        np.testing.assert_array_equal(found.scores.log_likelihood, first.scores.log_likelihood)
-        np.testing.assert_array_equal(found.scores.crossed, first.scores.crossed)
-        np.testing.assert_array_equal(found.readings.xy, first.readings.xy)
-
-
 @given(seeds, st.integers(1, 3))
 @settings(max_examples=2)
 def test_a_turned_map_turns_the_answer(seed, turns):

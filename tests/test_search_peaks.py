@@ -1,6 +1,5 @@
 """Smoothing, local maxima and separation, against loops; theta is a circle throughout."""
 
-import itertools
 import math
 
 import numpy as np
@@ -120,33 +119,6 @@ def test_peaks_may_be_sorted_a_few_at_a_time(shape, seed, n, few):
     assert got == naive_peaks(values, n, 1)
 
 
-@pytest.mark.parametrize("radius", [1, 2])
-@pytest.mark.parametrize("levels", [1, 4, 1 << 20])
-def test_peaks_of_a_large_stack(radius, levels):
-    rng = np.random.default_rng(levels)
-    values = rng.integers(0, levels + 1, (20, 90, 110)).astype(np.float32)
-    allowed = np.pad(values, ((0, 0), *[(radius, radius)] * 2))
-    window = range(-radius, radius + 1)
-    top = np.max(
-        [
-            np.roll(allowed, (a, b, c), axis=(0, 1, 2))
-            for a, b, c in itertools.product(window, repeat=3)
-        ],
-        axis=0,
-    )
-    maxima = np.argwhere(((allowed == top) & (allowed > 0))[:, radius:-radius, radius:-radius])
-    maxima = maxima[np.argsort(-values[tuple(maxima.T)], kind="stable")]
-    kept = []
-    for cell in maxima:
-        if len(kept) < 40 and not any(
-            circular(cell[0], k[0], 20) <= radius and np.abs(cell - k)[1:].max() <= radius
-            for k in kept
-        ):
-            kept.append(cell)
-    got = find_peaks(values, 40, radius=radius)
-    np.testing.assert_array_equal(got, np.array(kept))
-
-
 def test_a_read_only_stack_and_a_view_of_one_have_peaks():
     values = np.random.default_rng(3).random((6, 9, 14)).astype(np.float32)
     expected = find_peaks(values[:, 1:8, ::2].copy(), 9).tolist()
@@ -184,7 +156,7 @@ def test_first_in_cell_knows_sides_and_the_circle():
         [0.95, 0.5, 0.1], [1.05, 0.5, 0.1],  # either side of a border of cells
         [0.91, 0.5, 0.1 + 2 * np.pi],  # the first one's cell, once round
         [-0.05, 0.5, 0.1], [0.05, -0.5, 0.1], [0.05, 0.5, 0.1],  # nor is -0.05 what 0.05 is
-        [0.95, 0.5, -0.1],
+        [0.95, 0.5, -0.1], [0.95, 0.5, 0.6],
     ])  # fmt: skip
-    assert first_in_cell(poses, 1.0, 0.5).tolist() == [0, 1, 3, 4, 6]
+    assert first_in_cell(poses, 1.0, 0.5).tolist() == [0, 1, 3, 4, 6, 7]
     assert first_in_cell(np.empty((0, 3)), 1.0, 0.5).tolist() == []

@@ -15,7 +15,7 @@ from places import features_of, scan_of
 from imgloc.features.distance import signed_distance
 from imgloc.features.pyramid import Level, pyramid
 from imgloc.features.scanpoints import one_per_place
-from imgloc.geometry import cell_of, theta_bin, transform_points, uniform_thetas
+from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.model import Pose2D
 from imgloc.search import proposals
 from imgloc.search.proposals import propose_endpoints
@@ -180,20 +180,6 @@ def test_threads_and_the_order_of_points_change_nothing(seed):
         )
         for a, b in zip(once, again, strict=True):
             np.testing.assert_array_equal(a, b)
-
-
-def test_the_best_pose_is_the_one_the_scan_was_made_at():
-    occupied = np.zeros((40, 60), bool)
-    occupied[[0, -1]] = occupied[:, [0, -1]] = True
-    occupied[:15, 30] = True
-    true = Pose2D(1.65, 2.45, np.deg2rad(60))
-    wall = (np.argwhere(occupied)[:, ::-1] + 0.5) * RESOLUTION
-    xy = transform_points(Pose2D(0, 0, -true.theta), wall - (true.x, true.y))
-    poses, scores = propose_endpoints(
-        levels_of(occupied, sigma=0.1), xy, theta_step=np.deg2rad(5), keep=(300, 900, 900)
-    )
-    np.testing.assert_allclose(poses[0], [true.x, true.y, true.theta], atol=1e-9)
-    assert scores[0] > scores[1]
 
 
 @pytest.mark.parametrize(("step", "n"), [(120, 3), (100, 6), (72, 6), (90, 6), (360, 3)])

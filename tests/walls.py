@@ -42,7 +42,7 @@ def drawn(folder: Path, occupied: BoolArray, n: int = N) -> Path:
     return folder
 
 
-def thick_in(folder: Path) -> Path:
+def thick_in(folder: Path, n: int = N) -> Path:
     """The folder, with a map whose walls are too thick."""
     disc = np.ones((2 * THICK + 1,) * 2, np.uint8)
-    return drawn(folder, cv2.dilate(GRID.occupied.astype(np.uint8), disc) > 0)
+    return drawn(folder, cv2.dilate(GRID.occupied.astype(np.uint8), disc) > 0, n)

@@ -14,19 +14,19 @@ from imgloc.live.lanes import Lane, Piece
 from imgloc.live.problems import Refused
 from imgloc.threads import Unwanted, over_slices
 
-WALLS = np.pad(np.zeros((1400, 1400), bool), 3, constant_values=True)
+WALLS = np.pad(np.zeros((900, 900), bool), 3, constant_values=True)
+FEATURES = MapFeatures(OccupancyGrid(WALLS, ~WALLS, 0.05))
 SCAN = LaserScan(np.linspace(1, 8, 181), np.linspace(-1.5, 1.5, 181), range_max=30.0)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("method", METHODS)
 def test_the_likelihood_of_each_method_is_stopped_where_it_runs(method: str, threads: int) -> None:
-    features = MapFeatures(OccupancyGrid(WALLS, ~WALLS, 0.05))
     begun, ends = threading.Event(), list[object]()
 
     def work() -> None:
         begun.set()
-        likelihood(features, SCAN, Options(method, memory_budget=8 << 30, threads=threads))
+        likelihood(FEATURES, SCAN, Options(method, memory_budget=8 << 30, threads=threads))
         ends.append("done")
 
     piece = Piece(work)

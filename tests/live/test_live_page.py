@@ -827,21 +827,15 @@ def test_words_for_readings_are_those_of_the_explained_page() -> None:
     assert re.findall(r'^  "(\w+)": \("([^"]+)", ', there, re.M) == kinds
 
 
-def test_the_page_sends_the_token_of_its_address(browser: Any, log: Path) -> None:
+def test_the_page_sends_the_token_of_its_address_and_says_if_it_needs_one(browser, log) -> None:
     secret = "correct-horse-battery"
     with served(MAPS / "visibility.yaml", "--token", secret) as one:
-        address = one.address if "#" in one.address else f"{one.address}/#token={secret}"
-        with opened(browser, address) as page:
+        address = one.address.partition("#")[0].rstrip("/")
+        with opened(browser, f"{address}/#token={secret}") as page:
             assert "Scan 0: unique." in located(page, log)
             page.get_by_role("button", name="Follow").click()
             sync.expect(page.locator("#tracked")).to_contain_text("Tracker: ")
             sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
-
-
-def test_without_the_token_the_page_says_what_it_needs(browser: Any) -> None:
-    secret = "correct-horse-battery"
-    with served(MAPS / "visibility.yaml", "--token", secret) as one:
-        address = one.address.partition("#")[0].rstrip("/")
         for end, said in (("", "has none"), ("#token=not-the-right-one", "does not accept")):
             page = browser.new_page()
             page.goto(f"{address}/{end}")

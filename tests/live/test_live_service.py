@@ -48,6 +48,13 @@ def service() -> Iterator[Served]:
         yield one
 
 
+@pytest.fixture(scope="module")
+def impatient() -> Iterator[Served]:
+    """A service with one map, whose patience ends within a test."""
+    with served(MAP, "--patience", 1) as one:
+        yield one
+
+
 @pytest.fixture
 def http(service: Served) -> Iterator[httpx.Client]:
     with httpx.Client(base_url=service.address, timeout=60) as client:
@@ -131,8 +138,8 @@ def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> N
 # Maps and scans that clients send.
 
 
-def test_a_robot_that_says_nothing_for_long_is_followed_on() -> None:
-    with served(MAP, "--patience", 1) as one, connect(one.track) as robot:
+def test_a_robot_that_says_nothing_for_long_is_followed_on(impatient: Served) -> None:
+    with connect(impatient.track) as robot:
         for index in range(3):
             robot.send(LINE)
             assert json.loads(robot.recv(60))["index"] == index
@@ -203,23 +210,21 @@ def test_a_map_outlives_many_uploads_while_a_robot_is_followed_in_it(service, ht
     waits(lambda: http.delete(f"/v1/maps/{id_}").status_code == 204)
 
 
-def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path) -> None:
-    with served(MAP) as one:
+def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(impatient, scans) -> None:
+    def asked(what: str, **more: str) -> str:
+        answer = httpx.post(f"{impatient.address}/v1/{what}", params={"index": "1", **more},
+                            content=scans.read_bytes(), timeout=60)  # fmt: skip
+        assert answer.status_code == 200, answer.text
+        return answer.text
 
-        def asked(what: str, **more: str) -> str:
-            answer = httpx.post(f"{one.address}/v1/{what}", params={"index": "1", **more},
-                                content=scans.read_bytes(), timeout=60)  # fmt: skip
-            assert answer.status_code == 200, answer.text
-            return answer.text
-
-        before = asked("localize"), asked("which")
-        id_ = upload(one.address, "stranger", "visibility").json()["id"]
-        assert untimed(asked("localize")) == untimed(before[0])
-        assert asked("which") == before[1]
-        with connect(one.track) as robot:
-            robot.send(LINE)
-            assert json.loads(robot.recv(60))["index"] == 0
-        assert answers(asked("localize", map=id_)) == answers(before[0])
+    before = asked("localize"), asked("which")
+    id_ = upload(impatient.address, "stranger", "visibility").json()["id"]
+    assert untimed(asked("localize")) == untimed(before[0])
+    assert asked("which") == before[1]
+    with connect(impatient.track) as robot:
+        robot.send(LINE)
+        assert json.loads(robot.recv(60))["index"] == 0
+    assert answers(asked("localize", map=id_)) == answers(before[0])
 
 
 def test_without_a_map_of_the_service_one_is_named_by_its_id(scans: Path) -> None:
@@ -555,18 +560,14 @@ def test_a_body_without_an_end_is_refused_when_it_is_too_long(service: Served) -
         assert one.recv(100).startswith(b"HTTP/1.1 413 ")
 
 
-def test_half_a_head_half_a_body_and_nonsense_cost_nothing(http: httpx.Client) -> None:
-    # With a service of its own, whose patience ends within the test.
-    with served(MAP, "--patience", 1) as one:
-        assert raw(one.port, b"GET / HT") == b""
-        assert raw(one.port, b"") == b""
-        half = raw(one.port, post(one.port, 1000) + b"{")
-        assert half.startswith(b"HTTP/1.1 408 ")
-        assert raw(one.port, b"\0\1\2 hello\r\n\r\n").startswith(b"HTTP/1.1 400 ")
-        assert raw(one.port, post(one.port, -5)).startswith(b"HTTP/1.1 400 ")
-        assert raw(one.port, post(one.port, 100) + b"{", end=True) == b""
-        assert httpx.get(f"{one.address}/healthz").status_code == 200
-        assert one.end()[0] == 0
+def test_half_a_head_half_a_body_and_nonsense_cost_nothing(impatient: Served) -> None:
+    port = impatient.port
+    assert raw(port, b"GET / HT") == raw(port, b"") == b""
+    assert raw(port, post(port, 1000) + b"{").startswith(b"HTTP/1.1 408 ")
+    assert raw(port, b"\0\1\2 hello\r\n\r\n").startswith(b"HTTP/1.1 400 ")
+    assert raw(port, post(port, -5)).startswith(b"HTTP/1.1 400 ")
+    assert raw(port, post(port, 100) + b"{", end=True) == b""
+    assert httpx.get(f"{impatient.address}/healthz").status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -814,7 +815,7 @@ def test_a_port_that_is_taken_is_said(service: Served) -> None:
 
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
-def test_the_examples_with_curl_are_answered(tmp_path: Path, monkeypatch: Any) -> None:
+def test_the_examples_with_curl_are_answered(impatient, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     text = (Path(__file__).parents[2] / "tools/docs/serving.md").read_text()
     lines = [
@@ -824,13 +825,10 @@ def test_the_examples_with_curl_are_answered(tmp_path: Path, monkeypatch: Any) -
     assert call(*simulate[1:]).code == 0
     asked = [words for words in lines if words[0] == "curl"]
     assert asked
-    with served("visibility") as one:
-        for words in asked:
-            here = [word.replace("http://127.0.0.1:8080", one.address) for word in words]
-            run = subprocess.run(
-                [*here, "-s"], capture_output=True, text=True, timeout=60, check=True
-            )
-            assert json.loads(run.stdout)["verdict"] == "unique"
+    for words in asked:
+        here = [word.replace("http://127.0.0.1:8080", impatient.address) for word in words]
+        run = subprocess.run([*here, "-s"], capture_output=True, text=True, timeout=60, check=True)
+        assert json.loads(run.stdout)["verdict"] == "unique"
 
 
 @pytest.mark.parametrize(

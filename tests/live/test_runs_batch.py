@@ -407,12 +407,13 @@ def test_units_and_lasers_of_all_files(site: Path, tmp_path: Path) -> None:
     longer = tuple(scan.scaled(1000) for scan in scans.scans[:2])
     save_scans(tmp_path / "mm.npz", ScanSet(longer, poses=scans.poses[:2]))
     words = ["batch", site / "floors", tmp_path / "mm.npz", "--workers", 1, "--no-cache"]
+    words += ["--method", "cbml", "--cell", 0.2]
     out = tmp_path / "out"
     assert call(*words, "--range-scale", 0.001, "--range-max", 8, "--out", out).code == 0
     (row,) = read_rows(out)
     with ThreadPoolExecutor(1) as pool:
         save_scans(tmp_path / "m.npz", ScanSet(scans.scans[:2], poses=scans.poses[:2]))
-        there, job = tmp_path / "there", make_job(scans=ScanFiles(range_max=8.0))
+        there, job = tmp_path / "there", replace(QUICK, scans=ScanFiles(range_max=8.0))
         run_batch(site / "floors", tmp_path / "m.npz", there, job, executor=pool)
     (metres,) = read_rows(there)
     for a, b in zip(row["answers"], metres["answers"], strict=True):

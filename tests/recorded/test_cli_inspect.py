@@ -191,16 +191,15 @@ def test_each_disturbance_is_named(shared: Path, tmp_path: Path, what: str, name
 
 def test_lasers_with_names_are_looked_at_apart(shared: Path, tmp_path: Path) -> None:
     right = recorded(shared, next(iter(LOGS))).take(range(120))
-    hanging = each(right, lambda s: s.flipped, 2)
-    odd, both = ["two-lasers"], turned(2.0, 2)(hanging)
-    cases = (right, []), (turned(math.pi, 2)(right), odd), (hanging, odd), (both, odd)
+    hanging, odd = turned(2.0, 2)(each(right, lambda s: s.flipped, 2)), ["two-lasers"]
+    cases = (right, []), (turned(math.pi, 2)(right), odd), (hanging, odd)
     for scans, found in cases:
         named = tuple(replace(scan, laser="ab"[k % 2]) for k, scan in enumerate(scans.scans))
         imgloc.save_scans(tmp_path / "log.npz", replace(scans, scans=named), force=True)
         run = call("inspect", tmp_path / "log.npz", "--json", "--no-cache")
         assert codes(run) == found
         assert rows(run.out)[-1]["next"].startswith("imgloc track")
-        assert ("upside down" in run.out) == (scans in (hanging, both))
+        assert ("upside down" in run.out) == (scans is hanging)
         assert ("--topic " in rows(run.out)[-1]["next"]) == bool(found)
     # Scans that agree with no other one say nothing of the place that they are from.
     rng = np.random.default_rng(1)
@@ -262,10 +261,11 @@ def test_the_map_tells_a_mirrored_image(shared: Path, tmp_path: Path, name: str)
     assert found == ["mirrored"]
 
 
-def test_a_scale_that_scans_share_is_the_map_s_where_they_fit_with_it(shared: Path) -> None:
-    data = shared / "data"
-    own = data / "jarvis_inesc" / "map.yaml", data / "jarvis_inesc" / "complex.npz"
-    run = call("inspect", *own, "--resolution", 0.0106)
+def test_a_scale_that_scans_share_is_the_map_s_where_they_fit_with_it(shared, tmp_path) -> None:
+    data, few = shared / "data", tmp_path / "few.npz"
+    scans = imgloc.load_scans(data / "jarvis_inesc" / "complex.npz")
+    imgloc.save_scans(few, scans.take(range(0, len(scans), 36)))
+    run = call("inspect", data / "jarvis_inesc" / "map.yaml", few, "--resolution", 0.0106)
     assert "the cells of the map are of 0.01 m. Try --resolution 0.01\n" in run.out
     foreign = data / "guardian_crob" / "lab_slam.yaml", data / "wean" / "scans.npz"
     assert "multiplied by" not in call("inspect", *foreign).out

@@ -14,7 +14,7 @@ def test_no_request_is_lost_and_the_service_ends(capsys) -> None:
 
 
 def test_clients_lose_nothing_beside_a_crowd(capsys) -> None:
-    code = main(["--crowd", "1.5", "--map", "curved"])
+    code = main(["--crowd", "1", "--map", "curved"])
     said = capsys.readouterr().out
     assert code == 0, said
     assert re.search(r"beside a crowd: \d+ requests, p50 .* p99 .*; 0 lost", said)

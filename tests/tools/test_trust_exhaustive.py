@@ -47,7 +47,7 @@ def test_the_level_is_the_logarithm_above_the_background():
 def test_the_oracle_is_never_below_the_search(world, sensor):
     grid = render(WORLDS[world](), 0.1)
     features = prepare(grid)
-    for scan in simulate(grid, 4, 7, sensor, render(WORLDS[world](), 0.01)).scans:
+    for scan in simulate(grid, 2, 7, sensor, render(WORLDS[world](), 0.01)).scans:
         best = exhaustive(features, scan, keep=3000)
         # The oracle takes the map as it is.
         options = Options(fused=FusedOptions(strained=float("inf")))

@@ -28,9 +28,10 @@ from tools.trust.things import PLACED, ROOM, THINGS
 
 @pytest.fixture(scope="module", autouse=True)
 def two_floors():
-    """Of each building, instead of four."""
+    """Of each building, instead of four, whose scans are simulated on the cells of the map."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(foreign, "FLOORS", 2)
+        patch.setattr(foreign, "FINE", foreign.CELL)
         yield
 
 

@@ -1,8 +1,6 @@
 """Reliability, NEES and verdicts against true poses, and the command that measures them."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -124,14 +122,8 @@ def test_the_tool_writes_numbers_and_a_picture(tmp_path):
     save_map(tmp_path / "map.yaml", grid)
     save_scans(tmp_path / "scans.npz", simulate(grid, 2, 3, Sensor()))
     words = ("-n", 1, "--picture", tmp_path / "r.png", "--sets", tmp_path / "map.yaml")
-    done = subprocess.run(
-        [sys.executable, "-m", "tools.trust", "reliability", *map(str, words),
-         "--range-max", "0.31"],  # from where a robot can be there is nothing
-        capture_output=True, text=True, check=False,
-        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    # From where a robot can be there is nothing so near.
+    found = json.loads(run(main, "reliability", *words, "--range-max", 0.31).ends(0).out)
     assert found["range_max"] == 0.31
     assert found["unique but wrong, simulated"]["trials"] == 5
     assert found["recorded"][tmp_path.name]["verdicts"] == {"invalid": 1}
