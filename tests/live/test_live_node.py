@@ -395,7 +395,7 @@ def test_another_localizer_is_watched_and_no_pose_is_published(field, log) -> No
     field.listen()
     field.node(MAP, "--sensor", SENSOR, "--watch", "/amcl_pose")
     wrong = field.folder / "wrong"
-    field.play(MAP, log, "--no-map", "--amcl", wrong)
+    field.play(MAP, log, "--no-map", "--amcl", wrong, "--best-effort")
     for said, level in (("agrees", 0), ("disagrees", 2)):
         field.until(lambda said=said: field.heard("status")[-1:] and (
             field.heard("status")[-1]["watch"]["said"] == said))  # fmt: skip
@@ -404,7 +404,7 @@ def test_another_localizer_is_watched_and_no_pose_is_published(field, log) -> No
     status = field.heard("status")[-1]["watch"]
     assert status["seconds"] < 60
     assert status["pose"]["x"] == pytest.approx(START.x + 0.5, abs=1.0)
-    assert "; imgloc would give " in field.heard("diagnostics")[-1]["message"]
+    assert "; imgloc would give x 1" in field.heard("diagnostics")[-1]["message"]
     assert not field.heard("initialpose")
 
 
@@ -413,8 +413,8 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     wrong = tuple(replace(scan, ranges=1000 * scan.ranges) for scan in scans)
     imgloc.save_scans(path, imgloc.ScanSet(wrong, scans.poses, scans.stamps, scans.odom))
 
-    def check(*words: object) -> tuple[int, str]:
-        command = [sys.executable, "-m", "imgloc", "node", *map(str, words), "--sensor", SENSOR,
+    def check(*words: object, at: str = SENSOR) -> tuple[int, str]:
+        command = [sys.executable, "-m", "imgloc", "node", *map(str, words), "--sensor", at,
                    "--check", "--max-age", str(PATIENCE)]  # fmt: skip
         done = subprocess.run(command, env=field.around, cwd=ROOT, capture_output=True,
                               timeout=LONG, text=True)  # fmt: skip
@@ -428,6 +428,14 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     assert re.search(r"ok     /scan: (9|1\d)\.\d Hz", said), said
     assert "ok     scans on double_wall: 3 unique" in said, said
     assert "wrong  /initialpose: nobody listens" in said, said
+    assert re.search(r"ok     scans and odometry: \d\d% of the readings agree", said), said
+    for at, words, found in (
+        (SENSOR, (OTHER,), "scans on curved: 9 no-match"),
+        ("0.1,0,0", (MAP,), "sensor turned by 90 degrees on the robot. Try --sensor 0.1,0,90"),
+    ):
+        code, said = check(*words, "--watch", "/amcl_pose", at=at)
+        assert (code, found in said, "initialpose" in said) == (1, True, False), said
+        assert "wrong  /amcl_pose: no publisher" in said, said
     player.kill()
     player.wait()
     field.played_in.unlink()
