@@ -52,11 +52,6 @@ class _Heard:
     times: list[float] = field(default_factory=list)  # monotonic seconds
     ages: list[float] = field(default_factory=list)  # seconds of the stamps
 
-    def rate(self) -> float:
-        """Messages a second."""
-        way = self.times[-1] - self.times[0] if self.times else 0.0
-        return (len(self.times) - 1) / way if way > 0 else 0.0
-
 
 class Ear:
     """Listens to all that the node would hear."""
@@ -71,10 +66,8 @@ class Ear:
         ]
         self.odom = self._hear("nav_msgs", "Odometry", "odom", sensor)
         self.map = self._hear("nav_msgs", "OccupancyGrid", "map", latched) if map_topic else None
-        self.watched = None
-        if settings.watch not in ("", "tf"):
-            kind = "PoseWithCovarianceStamped"
-            self.watched = self._hear("geometry_msgs", kind, settings.watch, sensor)
+        kind, of = "PoseWithCovarianceStamped", settings.watch * (settings.watch != "tf")
+        self.watched = self._hear("geometry_msgs", kind, of, sensor) if of else None
         if ros.tf2_msgs is not None:
             still = qos.QoSProfile(depth=100, durability=latched.durability)
             for topic, how in (("/tf", 100), ("/tf_static", still)):
@@ -103,11 +96,11 @@ class Ear:
 
     def topic_rows(self, heard: _Heard, *, needed: bool) -> Iterator[Row]:
         """Publishers, type, rate and clock of a topic."""
-        name = heard.name
+        name, is_map = heard.name, heard.kind == "OccupancyGrid"
         there = self.node.get_publishers_info_by_topic(name)
-        types = dict(self.node.get_topic_names_and_types())
-        like = [t for t, kinds in types.items() if any(k.endswith(heard.kind) for k in kinds)
-                and t != name and self.node.count_publishers(t)]  # fmt: skip
+        like = [t for t, kinds in self.node.get_topic_names_and_types() if t != name
+                and any(k.endswith(heard.kind) for k in kinds)
+                and self.node.count_publishers(t)]  # fmt: skip
         if not there:
             do = "start its driver; is ROS_DOMAIN_ID the same?"
             do = f"remap it: -r {name.rpartition('/')[2]}:={like[0]}" if like else do
@@ -119,24 +112,20 @@ class Ear:
             return
         if not heard.times:
             found = f"{len(there)} publisher, no message in {SECONDS:g} s"
-            volatile = heard.kind == "OccupancyGrid"
-            do = "publish it transient local, or give a file" if volatile else "is it active?"
+            do = "publish it transient local, or give a file" if is_map else "is it active?"
             yield Row(name, found, do)
-            return
-        if heard.kind == "OccupancyGrid":
+        if is_map or not heard.times:
             return
         how = there[0].qos_profile.reliability.name.lower().replace("_", " ")
-        slow = heard.rate() < _SLOW[heard.kind]
-        do = f"raise it to {_SLOW[heard.kind]:g} Hz or more" if slow else ""
-        yield Row(name, f"{heard.rate():.1f} Hz, {how}", do)
-        age = float(np.median(heard.ages))
-        if not seconds_of(heard.messages[-1].header.stamp):
-            yield Row(f"{name} stamps", "0", "let the driver set header.stamp")
+        rate = (len(heard.times) - 1) / max(heard.times[-1] - heard.times[0], 1e-6)
+        do = f"raise it to {_SLOW[heard.kind]:g} Hz or more" * (rate < _SLOW[heard.kind])
+        yield Row(name, f"{rate:.1f} Hz, {how}", do)
+        age, do = float(np.median(heard.ages)), ""
+        if unstamped := not seconds_of(heard.messages[-1].header.stamp):
+            do = "let the driver set header.stamp"
         elif abs(age) > self.settings.max_age:
             do = "synchronise the clocks, or -p use_sim_time:=true for a bag with /clock"
-            yield Row(f"{name} stamps", f"{age:.3g} s old", do)
-        else:
-            yield Row(f"{name} stamps", f"{age:.2f} s old")
+        yield Row(f"{name} stamps", "0" if unstamped else f"{age:.3g} s old", do)
 
     def mounted(self, k: int) -> tuple[list[Row], list[LaserScan]]:
         """Where a laser sits, and its scans there."""
@@ -150,14 +139,12 @@ class Ear:
         if bad:
             rows.append(Row(heard.name, f"{bad} of {len(heard.messages)} are no scans", wrong))
         frame = frame_name(heard.messages[-1].header.frame_id)
-        mounts, link = self.settings.mounts, self.frames.at(frame, base, 0.0)
-        if mounts is not None:
-            link = None
-        elif link is None:
+        at = None if (mounts := self.settings.mounts) is None else mounts[k]
+        link = self.frames.at(frame, base, 0.0) if at is None else None
+        if at is None and link is None:
             found = f"tf does not say where {frame} sits on {base}"
             do = "publish it, or set the parameter sensor to X,Y,YAW"
             return [*rows, Row(f"{heard.name} mount", found, do)], []
-        at = mounts[k] if mounts is not None else None
         scans = [placed(one, self.settings, heard.name, at, link) for one in seen]
         if not scans:
             return rows, []
@@ -190,12 +177,10 @@ class Ear:
         some = sorted(scans, key=lambda scan: scan.stamp)
         moved = np.reshape([move_of(message) for message in self.odom.messages], (-1, 4))
         moves = Odometry(moved[:, 0], moved[:, 1:])
-        odom = np.full((len(some), 3), np.nan)
-        for row, scan in zip(odom, some, strict=True):
-            at = moves.at(scan.stamp)
-            row[:] = np.nan if at is None else at
-        stamps = np.array([scan.stamp for scan in some])
-        return ScanSet(tuple(some), None, stamps, odom if len(moves) else None)
+        stamps, unknown = [scan.stamp for scan in some], np.full(3, np.nan)
+        odom = np.array([unknown if (at := moves.at(one)) is None else at for one in stamps])
+        known = odom.reshape(-1, 3) if len(moves) else None
+        return ScanSet(tuple(some), None, np.array(stamps), known)
 
 
 def check_robot(
@@ -236,8 +221,7 @@ def _on_the_map(
     try:
         if heard is not None and heard.messages:
             made[heard.name] = prepare(grid_from_msg(heard.messages[-1], heard.name))
-        for name, maker in makers.items():
-            made[name] = site_of(maker, name).features
+        made |= {name: site_of(maker, name).features for name, maker in makers.items()}
     except ImglocError as error:
         yield Row("map", str(error), "imgloc map check")
     for name, features in made.items():
@@ -255,8 +239,8 @@ def _on_the_map(
         more = "; ".join(one.said for one in found if one not in alone.findings and one.serious)
         yield Row(f"scans on {name}", words or "none sees enough", more)
     told = [one for one in alone.findings if one.serious or one.code in ("few", "disagree")]
-    decided = [one for one in told if any(one not in of.findings for of in reports.values())]
     share = alone.facts["agreement"]
-    words = "not compared: the robot has hardly moved" if log.odom is not None else "no odometry"
+    words = "no odometry" if log.odom is None else "too few readings, or too little motion"
     words = words if share is None else f"{share:.0%} of the readings agree"
-    yield Row("scans and odometry", words, "; ".join(f.said for f in told if f not in decided))
+    held = (f.said for f in told if all(f in of.findings for of in reports.values()))
+    yield Row("scans and odometry", words, "; ".join(held))
