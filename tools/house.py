@@ -37,7 +37,7 @@ LIMITS: Mapping[str, tuple[int, int]] = {
     "code of imgloc": (30_610, 20_000),
     "code of lab and plans": (4_770, 3_700),
     "code of tools": (8_972, 8_000),
-    "code of tests": (27_673, 26_000),
+    "code of tests": (27_686, 26_000),
     f"functions of more than {LONG} lines": (0, 0),
     "modules of imgloc that a file imports, median": (5, 6),
     "arrows back up": (0, 0),

@@ -125,7 +125,7 @@ class Ear:
             do = "let the driver set header.stamp"
         elif abs(age) > self.settings.max_age:
             do = "synchronise the clocks, or -p use_sim_time:=true for a bag with /clock"
-        yield Row(f"{name} stamps", "0" if unstamped else f"{age:.3g} s old", do)
+        yield Row(f"{name} stamps", "0" if unstamped else f"{round(age, 2):.3g} s old", do)
 
     def mounted(self, k: int) -> tuple[list[Row], list[LaserScan]]:
         """Where a laser sits, and its scans there."""

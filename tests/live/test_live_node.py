@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,13 @@ class Field:
 
     def walk(self, *transitions: str) -> list[bool]:
         return [one["success"] for one in self.ask(*transitions)]
+
+    def check(self, *words: object, at: str = SENSOR, ros: Sequence[str] = ()) -> tuple[int, str]:
+        command = [sys.executable, "-m", "imgloc", "node", *map(str, words), "--sensor", at,
+                   "--check", "--max-age", str(PATIENCE), *ros]  # fmt: skip
+        done = subprocess.run(command, env=self.around, cwd=ROOT, capture_output=True,
+                              timeout=LONG, text=True)  # fmt: skip
+        return done.returncode, done.stdout + done.stderr
 
     def heard(self, topic: str) -> list[dict[str, Any]]:
         return [one for one in lines_of(self.heard_in) if one["topic"] == topic]
@@ -413,13 +420,7 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     wrong = tuple(replace(scan, ranges=1000 * scan.ranges) for scan in scans)
     imgloc.save_scans(path, imgloc.ScanSet(wrong, scans.poses, scans.stamps, scans.odom))
 
-    def check(*words: object, at: str = SENSOR) -> tuple[int, str]:
-        command = [sys.executable, "-m", "imgloc", "node", *map(str, words), "--sensor", at,
-                   "--check", "--max-age", str(PATIENCE)]  # fmt: skip
-        done = subprocess.run(command, env=field.around, cwd=ROOT, capture_output=True,
-                              timeout=LONG, text=True)  # fmt: skip
-        return done.returncode, done.stdout + done.stderr
-
+    check = field.check
     code, said = check(MAP)
     assert (code, "wrong  /scan: no publisher" in said) == (1, True), said
     player = field.play(MAP, log)
@@ -445,6 +446,20 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     assert "ok     map /map: " in said, said
     assert "millimetres" in said, said
     assert "remap it: -r front:=/scan" in said, said
+
+
+def test_a_check_hears_what_is_mapped_and_scans_need_not_fit_other_floors(field, log) -> None:
+    floors = field.folder / "floors"
+    floors.mkdir()
+    for one in (MAP, OTHER):
+        imgloc.save_map(floors / one.name, imgloc.load_map(one))
+    field.listen()
+    field.play(MAP, log)
+    field.until(field.played)
+    mapped = [f"{name}:=/{name}" for name in ("scan", "odom", "initialpose")]
+    words = [word for one in ("__ns:=/r1", *mapped) for word in ("-r", one)]
+    code, said = field.check(floors, ros=("--ros-args", *words))
+    assert (code, "ok     scans on curved: 9 no-match" in said) == (0, True), said
 
 
 def test_messages_name_topics_and_services_as_they_are_mapped(field) -> None:
