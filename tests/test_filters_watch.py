@@ -100,11 +100,18 @@ def test_a_scan_that_fits_nowhere_outweighs_no_place_that_the_scans_before_hold(
 def test_scans_that_suddenly_do_not_fit_speak_against_what_odometry_alone_holds(features, drive):
     own = imgloc.Tracking().follower(features, imgloc.Options())
     moment = own.step(scan := drive.scans[0], drive.odom[0])
-    held = replace(moment, belief=replace(moment.belief, verdict="ambiguous"))
     odd = replace(scan, ranges=np.full(len(scan.ranges), 4.0))
-    for scans, expected in (([scan, *[odd] * 6], DISAGREES), ([odd] * 7, CANNOT)):
-        watch, true = Watch(features, imgloc.Options()), Pose2D(*drive.poses[0])
+    alike, grown = [0.9] * 7, [0.9] * 3 + [0.95] + [0.9] * 3
+    for scans, shares, expected in (
+        ([scan, *[odd] * 6], alike, DISAGREES),
+        ([scan, *[odd] * 6], grown, CANNOT),  # the scans since then speak for the place
+        ([odd] * 7, alike, CANNOT),
+    ):
+        watch, true, words = Watch(features, imgloc.Options()), Pose2D(*drive.poses[0]), []
         watch.hear(0.0, true, None)
-        words = [watch.step(s, None, held, 0.5 * k).said for k, s in enumerate(scans)]
+        for k, (one, share) in enumerate(zip(scans, shares, strict=True)):
+            mass = share * moment.belief.mass
+            held = replace(moment.belief, verdict="ambiguous", mass=mass)
+            words.append(watch.step(one, None, replace(moment, belief=held), 0.5 * k).said)
         assert DISAGREES not in words[:6]
         assert words[6] == expected

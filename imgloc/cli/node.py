@@ -7,12 +7,13 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Command
-from imgloc.cli.console import emit
+from imgloc.cli.console import LACKS, emit, instead
 from imgloc.live.settings import Settings
 from imgloc.options import Options
 from imgloc.ranges import option
 
 _ROS = "--ros-args"
+_HEARD = "messages are taken as they are, so mend what publishes them"
 
 
 class RosCommand(Command):
@@ -22,7 +23,10 @@ class RosCommand(Command):
         """Keep the words of ROS for rclpy."""
         at = args.index(_ROS) if _ROS in args else len(args)
         ctx.meta[_ROS] = args[at:]
-        return list(super().parse_args(ctx, args[:at]))
+        left = list(super().parse_args(ctx, args[:at]))
+        lacks = ctx.meta[LACKS]
+        lacks |= {name: _HEARD for name, hint in lacks.items() if hint == "it reads no scans"}
+        return left
 
 
 def node(
@@ -88,6 +92,6 @@ def node(
         for row in rows:
             emit(f"{'wrong' if row.do else 'ok':5}  {row.what}: {row.found}")
             if row.do:
-                emit(f"       -> {row.do}")
+                emit(f"       -> {instead(row.do, context.meta[LACKS])}")
         raise typer.Exit(int(any(row.do for row in rows)))
     raise typer.Exit(run_node(ros, words, settings, makers, options, prepared, lifecycle=lifecycle))

@@ -122,7 +122,7 @@ class Watch:
         seen = self._seen(scan, base := in_grid_frame(claim, self.features.grid))
         near = (pose_errors(moment.belief.poses, base) <= _NEAR).all(axis=1)
         held = float(moment.belief.mass[near].sum())
-        suddenly, begun = self._misfit_leapt(scan.laser, seen, stamp, held)
+        suddenly = self._misfit_leapt(scan.laser, seen, stamp, held)
         late = suddenly > _LOOKS[1] * _EACH
         if moment.belief.verdict == UNIQUE and moment.best is not None:
             judged = self._beside(claim, moment.best, scan)
@@ -137,7 +137,7 @@ class Watch:
         answer = localize(self.features, scan, self.options)
         if answer.verdict == UNIQUE:
             return self._beside(claim, base_of(answer.hypotheses[0].pose, scan.mount), scan)
-        if late and held <= begun:  # else the scans since then speak for the place
+        if late:
             return DISAGREES, f"for {suddenly:.1f} s scans suddenly do not fit there", None
         if held > 1 - Trust.mass:  # one scan alone outweighs no place that holds
             return CANNOT, f"the scans before give it {held:.2f}, and this one fits no place", None
@@ -155,24 +155,24 @@ class Watch:
         at = settled(self._walls, view, np.array([[*base]]))
         return sight(self._walls, view, at, self.options)
 
-    def _misfit_leapt(
-        self, laser: str, seen: Sight | None, stamp: float, held: float
-    ) -> tuple[float, float]:
+    def _misfit_leapt(self, laser: str, seen: Sight | None, stamp: float, held: float) -> float:
         """Seconds for which scans have fitted far worse at a pose than just before; 0 if not.
 
         A changed place fits worse step by step, another place at once. Where scans fitted badly
-        before, this means nothing. Also the mass with which the place was `held` at the first.
+        before, this means nothing; nor once the own filter gives the place more mass, `held`, than
+        after the first of them: then these scans speak for it.
         """
         how, nothing = TrackerOptions(), (np.nan, stamp, np.nan)
         fitted, since, then = self._fitted.pop(laser, nothing)
         if seen is None:
-            return 0.0, held
-        if not (fitted <= how.fits[1] and seen.misfit[0] > fitted + how.surprise[1]):
+            return 0.0
+        leapt = fitted <= how.fits[1] and seen.misfit[0] > fitted + how.surprise[1]
+        if not leapt or held > then:
             fitted, since, then = float(seen.misfit[0]), stamp, np.nan
         elif np.isnan(then):
             then = held
         self._fitted[laser] = fitted, since, then
-        return stamp - since, then
+        return stamp - since
 
     def _beside(
         self, claim: Pose2D, own: Pose2D, scan: LaserScan

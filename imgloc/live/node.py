@@ -67,6 +67,7 @@ from imgloc.model import (
     to_json,
 )
 from imgloc.options import RADIUS, TOLERANCE, Hint, Known, Options
+from imgloc.output.tables import pose_words
 from imgloc.pose import difference
 from imgloc.ranges import declared
 from imgloc.robot.frames import GAP, Frames
@@ -337,8 +338,7 @@ class LocalizerNode:
         stamped = geometry.PoseWithCovarianceStamped
         self._hear(stamped, "~/hint", self._on_hint, 10)
         if self.settings.watch not in ("", "tf"):
-            reliably = qos.QoSProfile(depth=10, reliability=reliable)
-            self._hear(stamped, self.settings.watch, self._on_claim, reliably)
+            self._hear(stamped, self.settings.watch, self._on_claim, sensor)
         if not self.settings.watch:
             self._initial = say(stamped, "initialpose", passing)
         self._hypotheses = say(geometry.PoseArray, "~/hypotheses", latched)
@@ -846,7 +846,7 @@ class LocalizerNode:
         if self.settings.watch and not (silent or errors or self._waits()):
             level = {AGREES: OK, DISAGREES: ERROR}.get(self.opinion.said, WARN)
             given = self.opinion.pose if level == ERROR else None
-            own = f"; imgloc would give {given}" if given is not None else ""
+            own = f"; imgloc would give {pose_words(given)}" if given is not None else ""
             said = f"{self.settings.watch} {self.opinion.text}{own}"
         return level, said.replace("~/", f"{self.node.get_fully_qualified_name()}/")
 
@@ -946,7 +946,7 @@ class LocalizerNode:
     def _start_at(self, message: Any) -> None:
         pose, deviation = self._given(message)
         self._robot.start_at(pose, deviation)
-        self.node.get_logger().info(f"follows the robot from {pose}")
+        self.node.get_logger().info(f"follows the robot from {pose_words(pose)}")
 
     def change(self, settings: Settings) -> None:
         """Go on with other values of the parameters that may change."""

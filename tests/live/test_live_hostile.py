@@ -14,6 +14,7 @@ from command import MAPS, call
 
 import imgloc
 from imgloc import ConfigError, Localizer, Options, Sensor, simulate
+from imgloc.live.check import Ear
 from imgloc.live.node import LocalizerNode, load_ros, with_parameters
 from imgloc.live.settings import Settings
 from imgloc.live.status import ERROR, Found, weighed
@@ -190,6 +191,27 @@ def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
     node._on_transforms(SimpleNamespace(transforms=[link]))
     heard.send("scan", heard.scan())
     assert laser.frame == ""  # it is left out
+
+
+def test_a_check_reads_tf_and_names_a_message_that_is_no_scan(heard: Heard) -> None:
+    ear = Ear(heard.ros, heard.rclpy, Settings(watch="tf"), map_topic=False)
+    for message in (heard.scan(), heard.scan(angle_max=-1.0)):
+        ear.scans[0].kept = -INF
+        ear.hear(ear.scans[0], message)
+    rows, scans = ear.mounted(0)
+    assert (rows[0].found, scans) == ("1 of 2 are no scans", [])
+    assert rows[1].found == "tf does not say where laser sits on base_link"
+    link = heard.stamped(heard.ros.geometry_msgs.TransformStamped(), "base_link")
+    link.child_frame_id, link.transform.translation.x = "laser", 0.2
+    link.transform.rotation.x, link.transform.rotation.w = 1.0, 0.0
+    ear.on_transforms(SimpleNamespace(transforms=[link]))
+    rows, scans = ear.mounted(0)
+    assert (rows[1].found, len(scans)) == ("0.2, 0, 0 deg by tf, flipped", 1)
+    (row,) = ear.poses_rows()
+    assert (row.found, "map -> odom" in row.do) == ("not published", True)
+    link.header.frame_id, link.child_frame_id = "map", "base_link"
+    ear.on_transforms(SimpleNamespace(transforms=[link]))
+    assert [(row.found, row.do) for row in ear.poses_rows()] == [("published", "")]
 
 
 def test_hints_move_with_the_robot_and_some_cannot_be(heard: Heard) -> None:

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,13 @@ class Field:
 
     def walk(self, *transitions: str) -> list[bool]:
         return [one["success"] for one in self.ask(*transitions)]
+
+    def check(self, *words: object, at: str = SENSOR, ros: Sequence[str] = ()) -> tuple[int, str]:
+        command = [sys.executable, "-m", "imgloc", "node", *map(str, words), "--sensor", at,
+                   "--check", "--max-age", str(PATIENCE), *ros]  # fmt: skip
+        done = subprocess.run(command, env=self.around, cwd=ROOT, capture_output=True,
+                              timeout=LONG, text=True)  # fmt: skip
+        return done.returncode, done.stdout + done.stderr
 
     def heard(self, topic: str) -> list[dict[str, Any]]:
         return [one for one in lines_of(self.heard_in) if one["topic"] == topic]
@@ -396,7 +403,7 @@ def test_another_localizer_is_watched_and_no_pose_is_published(field, log) -> No
     field.listen()
     field.node(MAP, "--sensor", SENSOR, "--watch", "/amcl_pose")
     wrong = field.folder / "wrong"
-    field.play(MAP, log, "--no-map", "--amcl", wrong)
+    field.play(MAP, log, "--no-map", "--amcl", wrong, "--best-effort")
     for said, level in (("agrees", 0), ("disagrees", 2)):
         field.until(lambda said=said: field.heard("status")[-1:] and (
             field.heard("status")[-1]["watch"]["said"] == said))  # fmt: skip
@@ -405,7 +412,7 @@ def test_another_localizer_is_watched_and_no_pose_is_published(field, log) -> No
     status = field.heard("status")[-1]["watch"]
     assert status["seconds"] < 60
     assert status["pose"]["x"] == pytest.approx(START.x + 0.5, abs=1.0)
-    assert "; imgloc would give " in field.heard("diagnostics")[-1]["message"]
+    assert "; imgloc would give x 1" in field.heard("diagnostics")[-1]["message"]
     assert not field.heard("initialpose")
 
 
@@ -414,13 +421,7 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     wrong = tuple(replace(scan, ranges=1000 * scan.ranges) for scan in scans)
     imgloc.save_scans(path, imgloc.ScanSet(wrong, scans.poses, scans.stamps, scans.odom))
 
-    def check(*words: object) -> tuple[int, str]:
-        command = [sys.executable, "-m", "imgloc", "node", *map(str, words), "--sensor", SENSOR,
-                   "--check", "--max-age", str(PATIENCE)]  # fmt: skip
-        done = subprocess.run(command, env=field.around, cwd=ROOT, capture_output=True,
-                              timeout=LONG, text=True)  # fmt: skip
-        return done.returncode, done.stdout + done.stderr
-
+    check = field.check
     code, said = check(MAP)
     assert (code, "wrong  /scan: no publisher" in said) == (1, True), said
     player = field.play(MAP, log)
@@ -429,6 +430,14 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     assert re.search(r"ok     /scan: (9|1\d)\.\d Hz", said), said
     assert "ok     scans on double_wall: 3 unique" in said, said
     assert "wrong  /initialpose: nobody listens" in said, said
+    assert re.search(r"ok     scans and odometry: \d\d% of the readings agree", said), said
+    for at, words, found in (
+        (SENSOR, (OTHER,), "scans on curved: 9 no-match"),
+        ("0.1,0,0", (MAP,), "sensor turned by 90 degrees on the robot. Try --sensor 0.1,0,90"),
+    ):
+        code, said = check(*words, "--watch", "/amcl_pose", at=at)
+        assert (code, found in said, "initialpose" in said) == (1, True, False), said
+        assert "wrong  /amcl_pose: no publisher" in said, said
     player.kill()
     player.wait()
     field.played_in.unlink()
@@ -438,6 +447,20 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     assert "ok     map /map: " in said, said
     assert "millimetres" in said, said
     assert "remap it: -r front:=/scan" in said, said
+
+
+def test_a_check_hears_what_is_mapped_and_scans_need_not_fit_other_floors(field, log) -> None:
+    floors = field.folder / "floors"
+    floors.mkdir()
+    for one in (MAP, OTHER):
+        imgloc.save_map(floors / one.name, imgloc.load_map(one))
+    field.listen()
+    field.play(MAP, log)
+    field.until(field.played)
+    mapped = [f"{name}:=/{name}" for name in ("scan", "odom", "initialpose")]
+    words = [word for one in ("__ns:=/r1", *mapped) for word in ("-r", one)]
+    code, said = field.check(floors, ros=("--ros-args", *words))
+    assert (code, "ok     scans on curved: 9 no-match" in said) == (0, True), said
 
 
 def test_messages_name_topics_and_services_as_they_are_mapped(field) -> None:

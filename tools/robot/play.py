@@ -90,7 +90,7 @@ class Player:
         self._amcl: Any = None
         if how.amcl is not None:
             kind = ros.geometry_msgs.PoseWithCovarianceStamped
-            self._amcl = node.create_publisher(kind, "amcl_pose", latched)
+            self._amcl = node.create_publisher(kind, "amcl_pose", sensor)
         self._clock = None
         if how.clock:
             import importlib
