@@ -155,10 +155,10 @@ def test_ctrl_c_is_an_end_only_once_the_file_is_followed(lines: list[str], tmp_p
         signal.signal(signal.SIGINT, before)
 
 
-def test_stamps_that_run_backwards_end_it(lines: list[str]) -> None:
-    run = followed(lines[1] + lines[0], "--json")
-    assert (run.code, len(rows(run.out))) == (4, 1)
-    assert "standard input: stamps[1]: 100.00 after 101.00" in run.err
+def test_a_stamp_that_goes_back_is_left_out(lines: list[str]) -> None:
+    run = followed(lines[1] + lines[0] + lines[2], "--json")
+    assert (run.code, len(rows(run.out))) == (0, 2)
+    assert "standard input: scan 1: its stamp, 100.00, goes back; left out" in run.err
 
 
 @pytest.fixture(scope="module")
