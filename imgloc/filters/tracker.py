@@ -616,8 +616,7 @@ class Tracker:
 
     def _fits_well(self, seen: Sight, first: int) -> bool:
         """Return whether a scan fits well at one of its places from the index `first` on."""
-        least = seen.misfit[first:].min(initial=np.inf)
-        return bool(least <= self.options.fused.strained)
+        return bool(seen.misfit[first:].min(initial=np.inf) <= self.options.fused.strained)
 
     def _follow(self, seen: Sight) -> tuple[IntArray, FloatArray]:
         """Index of the pose that each component (C,) is at, and nats that it pays for being there.
