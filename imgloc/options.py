@@ -353,7 +353,11 @@ def log_share(same: tuple[float, float], space: float) -> float:
     return math.log(2 * math.pi * metres**2 * radians / space)
 
 
-LOG_VOLUME = log_share(FusedOptions.same, math.pi * RADIUS**2 * 2 * TOLERANCE)
+def _near() -> float:
+    return log_share(FusedOptions.same, math.pi * RADIUS**2 * 2 * TOLERANCE)
+
+
+LOG_VOLUME = _near()
 """Logarithm of the share of a hypothesis in all poses near one that is roughly known."""
 
 

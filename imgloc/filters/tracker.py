@@ -682,8 +682,7 @@ class Tracker:
             return
         log = seen.log_likelihood[new]
         share = masses(np.maximum((log - log.max()) * fresh, np.log(self.how.leak[0])), 1.0)
-        elsewhere = trust.mass_elsewhere(seen.gained)
-        given = self._lost * (1 - elsewhere)
+        given = self._lost * (1 - trust.mass_elsewhere(seen.gained))
         if given < _NOTHING:
             return
         self._resets += bool(len(self._poses)) and given > 0.5
