@@ -193,15 +193,13 @@ def test_headings_outside_the_prior_are_not_drawn(room) -> None:
 
 def test_the_check_that_fails_is_the_last_one(room) -> None:
     rng = np.random.default_rng(0)
-    noise = LaserScan(rng.uniform(0.3, 3.0, 120), ANGLES, range_max=20.0)
-    answer = localize(room, noise)
+    answer = localize(room, LaserScan(rng.uniform(0.3, 3.0, 120), ANGLES, range_max=20.0))
     assert answer.verdict == "no-match"
     assert [c.name for c in answer.evidence.checks] == ["readings", "elsewhere"]
     assert [c.holds for c in answer.evidence.checks] == [True, False]
     assert answer.evidence.checks[1].value == answer.elsewhere
     twins = prepare(hall(30, 30))
-    scan = seen_from(twins, (1.0, 1.3, 0.2))
-    answer = localize(twins, scan)
+    answer = localize(twins, seen_from(twins, (1.0, 1.3, 0.2)))
     assert answer.verdict == "ambiguous"
     assert [c.holds for c in answer.evidence.checks] == [True, True, False]
 

@@ -14,8 +14,7 @@ from imgloc.io.scanset import ScanSet
 
 
 def simulated(tmp_path: Path, shift: float) -> Path:
-    grid = imgloc.load_map(MAPS / "curved.yaml")
-    scans = imgloc.simulate(grid, 6, seed=3)
+    scans = imgloc.simulate(imgloc.load_map(MAPS / "curved.yaml"), 6, seed=3)
     assert scans.poses is not None
     path = tmp_path / f"{shift}.npz"
     poses = scans.poses + (shift, 0, 0)
@@ -45,8 +44,7 @@ def test_a_batch_compares_with_no_odometry(tmp_path: Path, shift: float) -> None
 
 def test_odometry_that_fits_at_one_scan_by_chance_is_not_truth(tmp_path: Path) -> None:
     """Of this file the first pose is true, and the others are not."""
-    grid = imgloc.load_map(MAPS / "curved.yaml")
-    scans = imgloc.simulate(grid, 6, seed=3)
+    scans = imgloc.simulate(imgloc.load_map(MAPS / "curved.yaml"), 6, seed=3)
     assert scans.poses is not None
     poses = scans.poses + np.where(np.arange(6) > 0, 2.0, 0.0)[:, None] * (1, 0, 0)
     imgloc.save_scans(tmp_path / "s.npz", ScanSet(scans.scans, poses, np.arange(6.0), poses))

@@ -13,8 +13,7 @@ N, ANGLES = 5, np.linspace(-1.5, 1.5, 31)
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    rng = np.random.default_rng(4)
-    ranges = rng.uniform(1, 8, (N, 31))
+    ranges = np.random.default_rng(4).uniform(1, 8, (N, 31))
     ranges[:, 3], ranges[:, 4] = np.inf, np.nan
     stamps = 100.5 + np.arange(N)
     scans = tuple(

@@ -189,8 +189,7 @@ def test_pictures_are_numbered_when_there_are_several(scans: Path, tmp_path: Pat
 
 
 def test_strict_exits_with_6_after_all_answers(tmp_path: Path) -> None:
-    angles = np.linspace(-1, 1, 20)
-    blind = LaserScan(np.full(20, np.nan), angles, range_max=10.0)
+    blind = LaserScan(np.full(20, np.nan), np.linspace(-1, 1, 20), range_max=10.0)
     path = tmp_path / "blind.npz"
     save_scans(path, ScanSet((blind, blind)))
     code, out, err = call("localize", CURVED, path, "--json", "--strict")

@@ -98,8 +98,7 @@ def test_what_changes_nothing_is_said(scans: Path) -> None:
 
 def test_scans_of_another_place_end_with_what_to_look_at(scans: Path) -> None:
     noise = np.random.default_rng(1).uniform(0.5, 9, (2, 180))
-    path = changed(scans, "c.npz", ranges=noise)
-    run = call("localize", "curved", path, OFF)
+    run = call("localize", "curved", changed(scans, "c.npz", ranges=noise), OFF)
     assert "most scans do not fit this map: is it the map of this place?" in run.err
     none = changed(scans, "d.npz", ranges=np.full((2, 180), np.nan))
     run = call("localize", "curved", none, OFF)

@@ -64,8 +64,7 @@ def test_unknown_cells_have_no_surface() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stack_takes_no_more_than_estimated(method: str) -> None:
-    grid = office(6, 0.1)
-    features = MapFeatures(grid, n_psi=24, n_rays=48)
+    features = MapFeatures(office(6, 0.1), n_psi=24, n_rays=48)
     if method == "ght-v":
         _ = features.visibility
     _ = features.surface, features.bmap, features.field, features.walls, features.free

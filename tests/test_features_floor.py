@@ -78,8 +78,7 @@ def test_a_near_wall_a_short_line_and_an_empty_scan_are_no_floor() -> None:
 def test_on_and_beyond_are_counted_as_literal_loops_do() -> None:
     rng = np.random.default_rng(4)
     ranges = np.minimum(np.minimum(room(), line(3.3, 0.05)) + 0.02 * rng.standard_normal(360), 19.0)
-    scan = LaserScan(ranges, ANGLES, range_max=20.0)
-    (found,) = lines_of(scan)
+    (found,) = lines_of(LaserScan(ranges, ANGLES, range_max=20.0))
     on = beyond = 0
     for distance, angle in zip(ranges, ANGLES, strict=True):
         depth = distance * math.cos(angle - found.direction)

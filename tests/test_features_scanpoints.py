@@ -121,8 +121,7 @@ def test_a_window_stops_at_a_depth_jump():
 
 def test_fewer_than_three_neighbours_give_no_normal():
     angles = np.deg2rad([-30, -29, -28, 0, 1, 2, 3, 40])
-    ranges = np.array([1.0, 1, 1, 3, 3, 3, 3, 2])
-    points = scan_points(ranges, angles, every(angles))
+    points = scan_points(np.array([1.0, 1, 1, 3, 3, 3, 3, 2]), angles, every(angles))
     np.testing.assert_array_equal(points.valid, [0, 0, 0, 1, 1, 1, 1, 0])
     assert np.isnan(points.alpha[[0, 1, 2, 7]]).all()
     assert np.isinf(points.sigma_alpha[[0, 1, 2, 7]]).all()

@@ -246,19 +246,29 @@ def test_several_lasers_are_one_set_each_at_its_place(tmp_path: Path) -> None:
         load_scans(path, topic="/front,front")
 
 
-@pytest.mark.parametrize("name", ["a", "b"])
-def test_robots_with_transforms_of_their_own_may_call_their_frames_alike(tmp_path, name) -> None:
-    m, content = messages_of(True), []
-    for one, x, q in (("a", 0.3, UP), ("b", -0.2, (0.0, 0.0, 1.0, 0.0))):
-        content += [(f"/{one}/tf_static", TF, m.transform("base_link", "laser", x, q))]
-        for t in (1.0, 2.0, 3.0):
-            content += [(f"/{one}/tf", TF, m.transform("odom", "base_link", x * t, stamp=t))]
-            content += [(f"/{one}/front/scan", SCAN, m.scan(t))]
-    path = write(tmp_path / "two.bag", "bag", content)
-    scans = load_scans(path, topic=f"/{name}/front/scan")
-    x, yaw = (0.3, 0.0) if name == "a" else (-0.2, math.pi)
-    assert scans[0].T_base_laser == Pose2D(x, 0.0, yaw)
-    np.testing.assert_allclose(scans.odom[:, 0], [x, 2 * x, 3 * x])
+@pytest.mark.parametrize(
+    "topics",
+    [
+        "/a/front/scan /a/tf_static /a/tf /b/tf",
+        "/a/scan /a/tf_static /a/tf /tf",
+        "/scan /tf_static /tf /a/tf",
+        "/lidar /tf_static /model/v/tf ",
+        "/scan /laser/tf_static /tf ",
+    ],
+)
+def test_robots_with_transforms_of_their_own_may_call_their_frames_alike(tmp_path, topics) -> None:
+    scan, still, moving, other = topics.split(" ")
+    m, turned = messages_of(True), (0.0, 0.0, 1.0, 0.0)
+    content = [(still, TF, m.transform("base_link", "laser", 0.3))]
+    for t in (1.0, 2.0, 3.0):
+        content += [(moving, TF, m.transform("odom", "base_link", 0.3 * t, stamp=t))]
+        content += [(scan, SCAN, m.scan(t))]
+    if other:
+        content += [(f"{other}_static", TF, m.transform("base_link", "laser", 0.5, turned))]
+        content += [(other, TF, m.transform("odom", "base_link", 9.0, stamp=2.0))]
+    scans = load_scans(write(tmp_path / "two.bag", "bag", content))
+    assert scans[0].T_base_laser == Pose2D(0.3, 0.0, 0.0)
+    np.testing.assert_allclose(scans.odom[:, 0], [0.3, 0.6, 0.9])
 
 
 def test_a_place_that_is_stated_of_a_laser_that_turns_is_refused(tmp_path: Path) -> None:

@@ -156,9 +156,9 @@ def topic(name: str, frame: str, child: str) -> Source:
     return Source(name, frame, child, moves)
 
 
-def picked(topics, frames, laser="laser", scan="/scan", asked="", spaces=()):
+def picked(topics, frames, laser="laser", scan="/scan", asked="", spaces=None):
     about = Recording(taken=scan)
-    source, about = pick_odometry(topics, frames, laser, about, asked, "a.bag", spaces)
+    source, about = pick_odometry(topics, frames, laser, about, asked, "a.bag", spaces or {})
     return SimpleNamespace(**(vars(about) | {"source": source}))
 
 
@@ -210,9 +210,10 @@ def test_several_robots_without_transforms_are_told_apart_by_name_or_refused() -
 
 def test_robots_whose_frames_have_the_same_names_are_told_apart_by_their_topics() -> None:
     both = [topic(name, "odom", "base_link") for name in ("/a/wheels", "/b/odom")]
-    found = picked(both, tree(""), scan="/a/scan", spaces="ab")
+    spaces = {"a": tree(""), "b": tree("")}
+    found = picked(both, tree(""), scan="/a/scan", spaces=spaces)
     assert (found.source, found.robots) == (both[0], ("/b/odom",))
-    assert picked(both[1:], tree(""), scan="/a/scan", spaces="ab").source.tf
+    assert picked(both[1:], tree(""), scan="/a/scan", spaces=spaces).source.tf
 
 
 def test_further_odometries_of_the_robot_are_named() -> None:

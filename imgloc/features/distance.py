@@ -124,8 +124,7 @@ def straight_share(occupied: BoolArray, run: int) -> float:
         cells = np.flatnonzero(line)
         for side in (-width, width):
             border = cells[~line[cells + side]]
-            ends = np.flatnonzero(np.diff(border, append=-1) != 1)
-            runs = np.diff(ends, prepend=-1)
+            runs = np.diff(np.flatnonzero(np.diff(border, append=-1) != 1), prepend=-1)
             long, length = long + int(runs[runs >= run].sum()), length + len(border)
     return long / length if length else 0.0
 

@@ -189,8 +189,7 @@ def _refined(features: MapFeatures, view: View, at: FloatArray) -> FloatArray:
 
 def _met(features: MapFeatures, at: FloatArray, xy: FloatArray, width: float) -> FloatArray:
     """Soft count (C,) of the points (N, 2) that sensor poses (C, 3) put on walls."""
-    distance = endpoints(at, xy, features.field)[2]
-    met = 1 / (1 + np.square(distance / np.float32(width)))
+    met = 1 / (1 + np.square(endpoints(at, xy, features.field)[2] / np.float32(width)))
     return np.asarray(met.sum(axis=1, dtype=np.float64))
 
 

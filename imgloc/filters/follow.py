@@ -229,7 +229,7 @@ def _whole(scans: ScanSet, name: str) -> _Steps:
     if (far := np.flatnonzero(np.abs(stamps) > _LATEST)).size:
         _check_order(name, indices[far[0]], np.nan, float(stamps[far[0]]))
     if (lone := alone_ahead(stamps)).size:
-        text = "%s: %d of %d scans, the first %d, have a stamp ahead of all others; left out"
+        text = "%s: %d of %d scans, the first %d, have a stamp ahead of the next ones; left out"
         LOG.warning(text, name, len(lone), len(known), indices[lone[0]])
         kept = np.setdiff1d(np.arange(len(known)), lone).tolist()
         known, odom, stamps = known.take(kept), odom[kept], stamps[kept]
@@ -468,15 +468,22 @@ class Follower:
 
 
 def alone_ahead(stamps: FloatArray) -> IntArray:
-    """Indices of stamps (N,) that leap ahead, though the next one goes on from the one before.
+    """Indices of stamps (N,) that leap ahead, though the next ones go on from the one before.
+
+    None where many do: such a log is made of two.
 
     Examples
     --------
     >>> alone_ahead(np.array([0.0, 0.2, 99.0, 0.6, 0.8])), alone_ahead(np.array([9.0, 9.2, 1.0]))
     (array([2]), array([], dtype=int64))
+    >>> swapped, two = np.array([0.0, 2, 6, 4, 8]), np.array([9.0, 1, 9.2, 1.2, 9.4, 1.4])
+    >>> len(alone_ahead(swapped)), len(alone_ahead(two))
+    (0, 0)
     """
-    before = np.concatenate(([-np.inf], stamps))[:-2]
-    return np.flatnonzero((stamps[:-1] > stamps[1:] + LEAP) & (stamps[1:] >= before))
+    before, after = np.append(-np.inf, stamps)[:-2], np.append(stamps, -np.inf)[2:]
+    leap = (stamps[:-1] > stamps[1:] + LEAP) & (stamps[1:] >= before)
+    leap &= (stamps[:-1] > after) | np.append(leap, [False] * 2)[2:]  # else it is in a wrong place
+    return np.flatnonzero(leap & (leap.sum() <= max(1, _BACK * len(stamps))))
 
 
 def in_order(stamps: FloatArray, odom: FloatArray) -> tuple[list[int], FloatArray] | None:

@@ -616,8 +616,7 @@ class Tracker:
 
     def _fits_well(self, seen: Sight, first: int) -> bool:
         """Return whether a scan fits well at one of its places from the index `first` on."""
-        least = seen.misfit[first:].min(initial=np.inf)
-        return bool(least <= self.options.fused.strained)
+        return bool(seen.misfit[first:].min(initial=np.inf) <= self.options.fused.strained)
 
     def _follow(self, seen: Sight) -> tuple[IntArray, FloatArray]:
         """Index of the pose that each component (C,) is at, and nats that it pays for being there.
@@ -683,8 +682,7 @@ class Tracker:
             return
         log = seen.log_likelihood[new]
         share = masses(np.maximum((log - log.max()) * fresh, np.log(self.how.leak[0])), 1.0)
-        elsewhere = trust.mass_elsewhere(seen.gained)
-        given = self._lost * (1 - elsewhere)
+        given = self._lost * (1 - trust.mass_elsewhere(seen.gained))
         if given < _NOTHING:
             return
         self._resets += bool(len(self._poses)) and given > 0.5

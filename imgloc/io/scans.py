@@ -376,8 +376,7 @@ def _npz_size(path: PathLike) -> ScansSize:
     ranges = shapes.get("ranges", ())
     scans = ranges[0] if len(ranges) == 2 else 1
     check_size(scans, math.prod(ranges[-1:]), name)
-    total = sum(math.prod(shape) for shape in shapes.values())
-    return ScansSize(scans, total, length)
+    return ScansSize(scans, sum(math.prod(shape) for shape in shapes.values()), length)
 
 
 def _members(data: bytes, name: str) -> dict[str, FloatArray]:

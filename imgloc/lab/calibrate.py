@@ -257,18 +257,16 @@ def fit_shared(
         return _gained(told), replace(shared, straight=False)
 
     starts = [Shared(start, straight=True) for start in STARTS]
-    gains = [_gained(_told(features, some, options, start, advance)) for start in starts]
-    begin = starts[int(np.argmax(gains))]
+    begin = starts[nearest([_told(features, some, options, one, advance) for one in starts])]
     gained, shared = settled(begin)
     # Ranges that are too short hide that walls are too thick: from thin walls both are found.
     more, other = settled(replace(begin, thinner=THINNER))
     shared = other if more > gained + GAIN else shared
     for _ in range(2):
-        known = replace(options, shared=shared)
         steps = np.array(
             [
                 refine(np.append(at, [[1]], axis=1), seen.xy, there.field, sigmas=FROM_CELLS)[0, 3]
-                for there, seen, at in _placed(features, some, known)
+                for there, seen, at in _placed(features, some, replace(options, shared=shared))
             ]
         )
         _enough(len(steps), len(some))
@@ -356,12 +354,29 @@ def _told(
     return evidence
 
 
+def nearest(evidence: Sequence[Sequence[Told]]) -> int:
+    """Index of the start to begin at: that where scans fit best, if the others promise no more.
+
+    The others promise as much with another scale, but their scans are farther from it.
+
+    Examples
+    --------
+    >>> far, near = ([Told(np.full((2, 2), fit), scaled=127.0)] for fit in (112.0, 126.0))
+    >>> nearest([far, near]), nearest([near, [Told(far[0].walls, scaled=140.0)]])
+    (1, 1)
+    """
+    gains, fits = np.array([(_gained(told), _fits(told)) for told in evidence]).T
+    return int(np.where(gains >= gains.max() - GAIN, fits, -np.inf).argmax())
+
+
+def _fits(told: Sequence[Told]) -> float:
+    """Nats per scan with the best thickness of straight walls; -inf without scans."""
+    return float(np.mean([one.walls[:, 0] for one in told], axis=0).max()) if told else -np.inf
+
+
 def _gained(told: Sequence[Told]) -> float:
     """Nats per scan with the best scale or thickness of straight walls; -inf without scans."""
-    if not told:
-        return float("-inf")
-    straight = np.mean([one.walls[:, 0] for one in told], axis=0).max()
-    return float(max(straight, np.mean([one.scaled for one in told])))
+    return max(_fits(told), float(np.mean([one.scaled for one in told]))) if told else -np.inf
 
 
 def fit_depth(

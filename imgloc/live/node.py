@@ -527,8 +527,7 @@ class LocalizerNode:
             self._map_error = ""
             return  # the same map once more: it is latched, or published each few seconds
         try:
-            grid = grid_from_msg(message, "map")
-            self.core.put(_MAP, grid)
+            self.core.put(_MAP, grid_from_msg(message, "map"))
         except ImglocError as error:
             self._map_error = str(error)
             raise

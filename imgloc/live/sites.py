@@ -77,8 +77,7 @@ def warm(site: Site, options: Options, tracking: Tracking) -> None:
     for there in _levels(features, options):
         _ = there.field, there.walls, there.standable, there.pyramid
     free = np.argwhere(features.grid.free)
-    at = free[len(free) // 2]
-    x, y = centre_of(at, features.grid.resolution)
+    x, y = centre_of(free[len(free) // 2], features.grid.resolution)
     angles = np.linspace(-np.pi, np.pi, _RAYS, endpoint=False)
     ranges = cast_rays(features.walls, [x, y], angles, _REACH, features.grid.resolution)
     scan = LaserScan(ranges.astype(np.float64), angles, range_max=_REACH)

@@ -102,10 +102,17 @@ class Frames:
         return True
 
     def join(self, other: "Frames") -> None:
-        """Add all that another tree has."""
+        """Add the links of another tree whose frames have no parent in this one."""
+        known = self.named
         for (child, parent), link in other._links.items():
-            for stamp, pose in zip(link.stamps, link.poses, strict=True):
-                self.add(child, parent, pose, stamp)
+            if child not in known:
+                self.add(child, parent, link.poses[0], link.stamps[0])
+                self._links[child, parent] = link
+
+    @property
+    def named(self) -> set[str]:
+        """Frames that have a parent."""
+        return {child for child, _ in self._links}
 
     def forget(self) -> None:
         """Forget the links that move, because time begins anew."""

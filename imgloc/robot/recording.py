@@ -1,6 +1,7 @@
 """Contents of a log by name, and the odometry of the robot that carries a laser."""
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -62,7 +63,7 @@ class Recording:
 
 def pick_odometry(
     topics: Sequence[Source], frames: Frames, laser: str, about: Recording, asked: str, name: str,
-    spaces: Collection[str] = (),
+    spaces: Mapping[str, Frames],
 ) -> tuple[Source | None, Recording]:  # fmt: skip
     """Pick the odometry of the robot that carries a laser, if any; name it and the others.
 
@@ -85,8 +86,8 @@ def pick_odometry(
         Topic or frame that the user names; empty to pick one.
     name : str
         What errors call the log.
-    spaces : collection of str
-        Namespaces that have transforms.
+    spaces : mapping of str to Frames
+        Transforms by the namespace of their topic.
 
     Raises
     ------
@@ -96,7 +97,7 @@ def pick_odometry(
     """
     links, topic = list(_moving(frames, laser)), about.taken
     if asked:
-        every = [*topics, *links, *_below(frames, asked)]
+        every = [*topics, *links, *(_link(frames, one, asked) for one in frames.children(asked))]
         found = next((source for source in every if source.named(asked)), None)
         if found is None:
             there = ", ".join(dict.fromkeys(source.words for source in every)) or "none"
@@ -110,23 +111,20 @@ def pick_odometry(
     # A body ends where an odometry begins: two robots may hang in one tree.
     ends = {source.frame for source in own if source.frame} | {link.frame for link in links[:1]}
     body = _reached(frames, laser, ends)
-    near = [s for s in own if {*spaces_of(s.name, spaces)} <= {*spaces_of(topic, spaces)}]
+    near = [s for s in own if {*spaces_above(s.name, spaces)} <= {*spaces_of(topic, spaces)}]
     linked = [s for s in near if s.child in body]
     known = [s for s in own if s not in near or (s.child and frames.parents(s.child)[1:])]
-    away = [s for s in known if s not in linked]
-    unknown = [s for s in own if s not in linked and s not in away]
+    unknown = [s for s in own if s not in linked and s not in known]
     names = tuple(source.words for source in truths)
     if not linked and unknown:
-        space = space_of(topic)
-        linked = [s for s in unknown if space_of(s.name) == space] or unknown
-        spaces = {space_of(s.name) for s in linked}
-        if len(linked) > 1 and len(spaces) > 1 and not links:
+        linked = [s for s in unknown if space_of(s.name) == space_of(topic)] or unknown
+        if len({space_of(s.name) for s in linked}) > 1 and not links:
             there = ", ".join(source.words for source in linked)
             raise ScanError(
                 f"{name}: several odometries, and tf does not lead from one of them to {laser}; "
                 f"pass `odom`, one of {there}"
             )
-    robots = tuple(s.words for s in (*away, *unknown) if s not in linked)
+    robots = tuple(s.words for s in (*known, *unknown) if s not in linked)
     about = replace(about, robots=robots, truths=names)
     told = [source for source in linked if len(source.odometry) > 1]
     if told or (linked and not links):
@@ -182,11 +180,6 @@ def _link(frames: Frames, child: str, parent: str) -> Source:
     return Source(parent, parent, child, Odometry(stamps, rows), tf=True)
 
 
-def _below(frames: Frames, frame: str) -> list[Source]:
-    """The links to the children of a frame that somebody names."""
-    return [_link(frames, child, frame) for child in frames.children(frame)]
-
-
 def _reached(frames: Frames, laser: str, ends: set[str]) -> set[str]:
     """Frames to which links lead from the laser without those that are not of its robot."""
     out, line = {laser}, [laser]
@@ -198,27 +191,37 @@ def _reached(frames: Frames, laser: str, ends: set[str]) -> set[str]:
     return out
 
 
-def spaces_of(topic: str, spaces: Collection[str]) -> list[str]:
-    """Pick the namespaces whose transforms are those of the robot that has a topic.
-
-    Robots whose frames have the same names have transforms on topics of their own.
+def spaces_above(topic: str, spaces: Collection[str]) -> list[str]:
+    """Pick the namespaces that a topic is in, the nearest first.
 
     Examples
     --------
-    >>> spaces_of("/a/front/scan", ["", "a", "b"]), spaces_of("/scan", ["a"]), spaces_of("/c", "ab")
-    (['', 'a'], ['a'], [])
+    >>> spaces_above("/a/front/scan", ["", "a", "b"]), spaces_above("/scan", ["a"])
+    (['a', ''], [])
     """
     path = f"/{space_of(topic)}/"
-    own = [space for space in spaces if not space or path.startswith(f"/{space}/")]
-    return own or list(spaces) * (len(spaces) == 1)
+    own = (space for space in spaces if not space or path.startswith(f"/{space}/"))
+    return sorted(own, key=len, reverse=True)
+
+
+def spaces_of(topic: str, spaces: Mapping[str, Frames]) -> list[str]:
+    """Pick the namespaces whose transforms are those of the robot that has a topic.
+
+    Robots whose frames have the same names have transforms on topics of their own. Where none of
+    these is the topic's, the transforms of one robot may be on several.
+    """
+    own = spaces_above(topic, spaces)
+    named = Counter(frame for frames in spaces.values() for frame in frames.named)
+    more = [space for space, frames in spaces.items() if all(named[f] == 1 for f in frames.named)]
+    return own if any(own) else list(dict.fromkeys(own + more))
 
 
 def frames_of(topic: str, spaces: Mapping[str, Frames]) -> Frames:
-    """Transforms by namespace, joined for the robot that has a topic."""
-    first, *more = [spaces[space] for space in spaces_of(topic, spaces)] or [Frames()]
-    for other in more:
-        first.join(other)
-    return first
+    """Transforms by namespace, joined for the robot that has a topic: the nearest ones count."""
+    joined = Frames()
+    for space in spaces_of(topic, spaces):
+        joined.join(spaces[space])
+    return joined
 
 
 def mounted(
