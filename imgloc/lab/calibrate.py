@@ -251,7 +251,7 @@ def fit_shared(
     def settled(shared: Shared) -> tuple[float, Shared]:
         told = _told(features, some, options, shared)
         for _ in range(_ROUNDS):
-            if not told or (better := judged(told, shared)) == shared:
+            if not told or (better := judged(told, shared, gain=GAIN / len(told))) == shared:
                 break
             told, shared = _told(features, some, options, better), better
         return _gained(told), replace(shared, straight=False)
@@ -261,7 +261,7 @@ def fit_shared(
     gained, shared = settled(begin)
     # Ranges that are too short hide that walls are too thick: from thin walls both are found.
     more, other = settled(replace(begin, thinner=THINNER))
-    shared = other if more > gained + GAIN else shared
+    shared = other if more > gained + GAIN / len(some) else shared
     for _ in range(2):
         steps = np.array(
             [

@@ -126,15 +126,16 @@ def _pieces(
 
 def judged(
     told: Sequence[Told], now: Shared, given: float = 1.0, image: float = 0.0, *,
-    placed: bool = True,
+    placed: bool = True, gain: float = GAIN,
 ) -> Shared:  # fmt: skip
     """The errors that scans speak for together; `given` is the scale without any of them.
 
-    They compete: what gains most is allowed for. The `image` speaks for bent walls, too, once: its
-    nats are those of :func:`image_gain`. Scans that are not `placed` have to gain more by a scale:
-    at wrong places they fit with any. How thick walls are, straight ones show: the
-    offset of a bent wall may stand for its thickness. The scale is the median of those of the
-    scans; if it differs from the given one by less than some standard errors, it is that one.
+    They compete: what gains most is allowed for, if that is more than `gain` nats per scan. The
+    `image` speaks for bent walls, too, once: its nats are those of :func:`image_gain`. Scans that
+    are not `placed` have to gain more by a scale: at wrong places they fit with any. How thick
+    walls are, straight ones show: the offset of a bent wall may stand for its thickness. The scale
+    is the median of those of the scans; if it differs from the given one by less than some standard
+    errors, it is that one.
 
     Examples
     --------
@@ -150,13 +151,13 @@ def judged(
     """
     straight, bent = np.mean([one.walls for one in told], axis=0).T
     n, now_at = int(np.argmax(straight)), min(now.thinner, len(straight) - 1)
-    if straight[n] <= straight[now_at] + GAIN:
+    if straight[n] <= straight[now_at] + gain:
         n = now_at
     scale, more = _scale_of(told, now, given), _SCALED[2]
-    cost = GAIN + price(replace(now, scale=scale), replace(now, scale=given), 0.0)
+    cost = gain + price(replace(now, scale=scale), replace(now, scale=given), 0.0)
     scaled = -np.inf if scale == now.scale else float(np.mean([one.scaled for one in told])) - cost
     best = max(straight[n], scaled)
-    if not now.straight and bent[n] + image / len(told) > best + GAIN:
+    if not now.straight and bent[n] + image / len(told) > best + gain:
         return replace(now, thinner=now.thinner if n == now_at else n, bent=BENT)
     if scaled > straight[n]:
         return replace(now, scale=scale) if placed or scaled > straight[n] + more else now
