@@ -89,7 +89,8 @@ def read_jsonl(
             entry = _json(item, where) if isinstance(item, str) else item
             entry, on = unwrapped(entry, where)
             if on is None or "ranges" in entry:
-                scans.setdefault(on or "", []).append((where, _object(entry, where)))
+                plain = _object(entry, where)
+                scans.setdefault(on or "", []).append((where, plain))
             elif {"transforms", "child_frame_id"} & entry.keys():
                 with fields_of(ScanError, where):
                     beside.take(on, entry)
