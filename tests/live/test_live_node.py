@@ -449,11 +449,17 @@ def test_a_running_robot_is_checked_and_what_is_wrong_says_what_to_do(field, log
     assert "remap it: -r front:=/scan" in said, said
 
 
-def test_a_check_hears_what_is_mapped_and_scans_need_not_fit_other_floors(field, log) -> None:
+def floors_of(field) -> Path:
+    """A folder of two maps."""
     floors = field.folder / "floors"
     floors.mkdir()
     for one in (MAP, OTHER):
         imgloc.save_map(floors / one.name, imgloc.load_map(one))
+    return floors
+
+
+def test_a_check_hears_what_is_mapped_and_scans_need_not_fit_other_floors(field, log) -> None:
+    floors = floors_of(field)
     field.listen()
     field.play(MAP, log)
     field.until(field.played)
@@ -471,10 +477,7 @@ def test_messages_name_topics_and_services_as_they_are_mapped(field) -> None:
 
 
 def test_a_folder_of_floors_says_which_it_is_by_the_recorded_clock(field, log) -> None:
-    floors = field.folder / "floors"
-    floors.mkdir()
-    for path in (MAP, OTHER):
-        imgloc.save_map(floors / path.name, imgloc.load_map(path))
+    floors = floors_of(field)
     field.listen()
     field.node(floors, "--sensor", SENSOR, "--ros-args", "-p", "use_sim_time:=true")
     field.play(MAP, log, "--no-map", "--clock")
